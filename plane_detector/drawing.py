@@ -12,6 +12,7 @@ import numpy as np
 
 from plane_detector.compilation import kernel
 from plane_detector.geometry.disparity import valid_depth
+from plane_detector.types import PlaneClass
 
 # Colours next to each other in the list, those of the largest planes, differ most.
 PALETTE = np.array(
@@ -23,6 +24,17 @@ PALETTE = np.array(
     ],
     dtype=np.uint8,
 )
+# The colour of each class, with its name; planes of an unknown class have those of the palette.
+CLASS_COLOURS = {
+    PlaneClass.FLOOR: ('green', (40, 175, 75)), PlaneClass.RAMP: ('light green', (150, 205, 60)),
+    PlaneClass.WALL: ('blue', (30, 110, 225)), PlaneClass.CEILING: ('grey', (160, 168, 176)),
+    PlaneClass.OTHER_HORIZONTAL: ('yellow-brown', (205, 155, 45)),
+    PlaneClass.STEP: ('orange-brown', (190, 100, 30)),
+    PlaneClass.OTHER: ('grey-violet', (140, 115, 165)),
+}
+# Shares of white that are mixed into the colour of a class, by label; below 0: of black.
+_DARKEST, _LIGHTEST = -0.35, 0.4
+_GOLDEN_RATIO = 0.618034  # its multiples are spread evenly, however many labels there are
 _COLOUR_SHARE = 0.55
 _FARTHEST_INDEX = 20  # of the colour map; lower ones are too close to the black of invalid depth
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
@@ -52,6 +64,49 @@ def label_colours(labels: np.ndarray) -> np.ndarray:
 
     """
     return PALETTE[(np.asarray(labels).astype(np.int64) - 1) % len(PALETTE)]
+
+
+def plane_colours(labels: np.ndarray, classes: np.ndarray) -> np.ndarray:
+    """
+    Return the colour of each plane: its hue tells the class, its lightness the label.
+
+    Parameters
+    ----------
+    labels : (K,) integer
+        Above 0.
+    classes : (K,) integer
+        Values of :class:`~plane_detector.types.PlaneClass`.
+
+    Returns
+    -------
+    (K, 3) uint8
+        RGB.
+
+    Examples
+    --------
+    >>> red, green, blue = plane_colours(np.array([7]), np.array([PlaneClass.FLOOR]))[0].tolist()
+    >>> green > red and green > blue
+    True
+
+    """
+    colours = label_colours(labels).astype(float)
+    for kind, (_, colour) in CLASS_COLOURS.items():
+        colours[np.asarray(classes) == kind] = colour
+    light = _DARKEST + (_LIGHTEST - _DARKEST) * (np.asarray(labels) * _GOLDEN_RATIO % 1)
+    light = np.where(np.isin(classes, list(CLASS_COLOURS)), light, 0.0)[:, None]
+    return np.rint(colours + abs(light) * (np.where(light > 0, 255, 0) - colours)).astype(np.uint8)
+
+
+def colours_by_label(labels: np.ndarray, classes: np.ndarray, last: int) -> np.ndarray:
+    """
+    Return the colours of labels 0 to ``last``, (last + 1, 3) uint8: of planes and of the others.
+
+    Parameters are those of :func:`plane_colours`; all other labels, as of shapes, have the colours
+    of :func:`label_colours`.
+    """
+    colours = label_colours(np.arange(last + 1))
+    colours[labels] = plane_colours(labels, classes)
+    return colours
 
 
 def tint(rgb: np.ndarray, labels: np.ndarray, colours: np.ndarray | None = None,

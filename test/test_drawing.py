@@ -5,9 +5,17 @@
 import numpy as np
 import pytest
 
-from plane_detector.drawing import PALETTE, colour_depth, figure, overlay, tint
-from plane_detector.tools.demo.directions import draw_directions
-from plane_detector.types import CameraIntrinsics
+from plane_detector.drawing import (
+    PALETTE,
+    colour_depth,
+    colours_by_label,
+    figure,
+    label_colours,
+    overlay,
+    plane_colours,
+    tint,
+)
+from plane_detector.types import PlaneClass
 
 GREY = np.full((120, 160, 3), 128, np.uint8)
 GREY.flags.writeable = False
@@ -65,25 +73,39 @@ def test_figure_sets_panels_in_rows_and_fills_the_last():
     assert (drawn[height:, width:] == 255).all()
 
 
-CAMERA = CameraIntrinsics(120.0, 120.0, 79.5, 59.5, 160, 120)
-LEVEL = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+LABELS = np.arange(1, 40)
 
 
-def yellow_rows(drawn):
-    return np.nonzero(np.abs(drawn.astype(int) - (255, 230, 0)).max(-1) < 40)[0]
+def of_class(kind):
+    return plane_colours(LABELS, np.full(len(LABELS), kind)).astype(int)
 
 
-@pytest.mark.parametrize(('pitch_deg', 'row'), [(0, 59.5), (10, 59.5 - 120 * np.tan(0.1745))])
-def test_the_horizon_is_where_rays_are_level(pitch_deg, row):
-    """Looking down by the pitch the horizon rises by f tan pitch."""
-    pitch = np.radians(pitch_deg)
-    drawn = draw_directions(GREY, CAMERA, np.array([0, np.cos(pitch), np.sin(pitch)]),
-                            np.zeros((0, 3)))
-    assert yellow_rows(drawn).mean() == pytest.approx(row, abs=1.0)
-    assert (GREY == 128).all()
+@pytest.mark.parametrize(('kind', 'most'), [
+    (PlaneClass.FLOOR, 1), (PlaneClass.RAMP, 1), (PlaneClass.WALL, 2)])
+def test_floors_are_green_and_walls_blue_whatever_their_label(kind, most):
+    assert (of_class(kind).argmax(axis=1) == most).all()
 
 
-def test_strokes_of_each_direction_have_their_colour():
-    drawn = draw_directions(GREY, CAMERA, np.array([0.0, 1.0, 0.0]), LEVEL)
-    for colour in ((40, 90, 255), (255, 50, 50), (40, 200, 60)):
-        assert np.abs(drawn.astype(int) - colour).max(-1).min() < 70
+@pytest.mark.parametrize('kind', [PlaneClass.OTHER_HORIZONTAL, PlaneClass.STEP])
+def test_level_surfaces_are_yellow_or_brown(kind):
+    red, green, blue = of_class(kind).T
+    assert (red > green).all() and (green > blue).all()
+
+
+def test_other_planes_are_grey_violet():
+    red, green, blue = of_class(PlaneClass.OTHER).T
+    assert (blue > red).all() and (red > green).all()
+    assert (blue - green < 60).all(), 'greyish'
+
+
+@pytest.mark.parametrize('kind', [kind for kind in PlaneClass if kind != PlaneClass.UNKNOWN])
+def test_neighbouring_labels_of_a_class_differ_in_lightness(kind):
+    lightness = of_class(kind).mean(axis=1)
+    assert np.abs(np.diff(lightness)).min() > 20
+
+
+def test_planes_without_a_class_and_shapes_have_the_colours_of_the_palette():
+    np.testing.assert_array_equal(of_class(PlaneClass.UNKNOWN), label_colours(LABELS))
+    table = colours_by_label(np.array([2]), np.array([PlaneClass.WALL]), 9)
+    np.testing.assert_array_equal(table[[3, 9]], label_colours(np.array([3, 9])))
+    np.testing.assert_array_equal(table[2], plane_colours(np.array([2]), [PlaneClass.WALL])[0])

@@ -170,10 +170,13 @@ class Health:
         self._last = detection
         if detection.scale_event:
             self._logger.info(detection.scale_event)
-        self._gap = gap_of(detection, wanted)
+        before, self._gap = self._gap, gap_of(detection, wanted)
         if self._gap not in self._told and self._gap:
             self._told.add(self._gap)
             self._logger.warning(self._gap)
+        elif before and not self._gap and f'after {before}' not in self._told:
+            self._told.add(f'after {before}')
+            self._logger.info(f'no longer: {before.partition(":")[0]}')
 
     def tell_once(self, key: str, warning: str) -> None:
         """Log a warning whose wording may vary, but only once per key."""
@@ -331,18 +334,17 @@ def planes_status(name: str, frame: DetectedFrame,
 
     ``planes_in_all`` is their number in all frames so far.
     """
-    detection, labels = frame.detection, frame.detection.planes.labels.tolist()
-    rows = {'planes': str(len(labels))}
+    detection = frame.detection
+    rows = {'planes': str(len(detection.planes))}
     if planes_in_all is not None:
         rows['planes_in_all'] = str(planes_in_all)
     is_metric = detection.scale_method != RELATIVE
     unit = ' m' if is_metric else ''
-    for index, (plane, label, rectangle) in enumerate(zip(detection.planes, labels,
-                                                          frame.rectangles, strict=True)):
+    for plane, rectangle in zip(detection.planes, frame.rectangles, strict=True):
         sides = f'{rectangle.width_m:.2f} x {rectangle.height_m:.2f}{unit}'
         rms = f'{1e3 * plane.rms_m:.0f} mm' if is_metric else f'{plane.rms_m:.3f}'
-        rows[plane_name(detection, index, label)] = (
+        rows[plane_name(plane)] = (
             f'{plane.offset_m:.2f}{unit}, {sides}, rms {rms}, {100 * plane.confidence:.0f} %')
     return DiagnosticStatus(name=f'{name}: planes', level=DiagnosticStatus.OK,
-                            message=f'{len(labels)} planes', hardware_id=PLANES_ID,
+                            message=f'{rows["planes"]} planes', hardware_id=PLANES_ID,
                             values=[KeyValue(key=k, value=v) for k, v in rows.items()])

@@ -74,9 +74,12 @@ def test_foxglove_shows_overlay_cloud_markers_planes_and_state():
         assert panel['foxglovePanelTitle'] == panel['lichtblickPanelTitle']
     assert panels['Image!overlay']['imageMode']['imageTopic'] == '/plane_detector/overlay'
     topics = panels['3D!planes']['topics']
-    assert set(topics) <= TOPICS
+    of_map = {f'/plane_detector/map/{name}' for name in ('planes', 'boundaries', 'markers')}
+    assert set(topics) <= TOPICS | of_map
     assert {topic for topic, view in topics.items() if view['visible']} == {
-        '/plane_detector/points', '/plane_detector/markers'}
+        f'/plane_detector/{name}' for name in ('points', 'markers', 'map/markers')}
+    assert set(topics) >= of_map | {
+        f'/plane_detector/{name}' for name in ('ground', 'points_without_floor', 'drops')}
     points = topics['/plane_detector/points']
     assert (points['colorMode'], points['colorField']) == ('rgb', 'rgb'), 'see points_color'
 

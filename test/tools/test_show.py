@@ -120,8 +120,10 @@ def topics_of(config):
 
 def test_the_configuration_shows_outputs_relative_to_its_namespace():
     shown = topics_of(rviz.find_config().read_text('utf-8'))
-    assert shown <= {f'plane_detector/{name}' for name in OUTPUTS}
-    assert {'plane_detector/points', 'plane_detector/markers', 'plane_detector/overlay'} <= shown
+    of_map = {f'map/{name}' for name in ('planes', 'boundaries', 'markers')}
+    assert shown <= {f'plane_detector/{name}' for name in (*OUTPUTS, *of_map)}
+    assert shown >= {f'plane_detector/{name}' for name in (
+        'points', 'markers', 'overlay', 'ground', 'points_without_floor', 'drops', *of_map)}
 
 
 def test_the_frame_is_that_of_the_camera(robot):

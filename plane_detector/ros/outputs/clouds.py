@@ -94,9 +94,9 @@ def _xyz_to_msg(frame: DetectedFrame, is_kept: np.ndarray) -> PointCloud2:
 def _colours(frame: DetectedFrame) -> np.ndarray:
     """Return the colours of the cloud, (H, W, 3) uint8."""
     if frame.settings.points_color == 'label':
-        return tint(np.zeros_like(frame.rgb), frame.labels, share=1.0)
+        return tint(np.zeros_like(frame.rgb), frame.labels, frame.colours, share=1.0)
     if frame.settings.points_color == 'overlay':
-        return tint(frame.rgb, frame.labels)
+        return tint(frame.rgb, frame.labels, frame.colours)
     return frame.rgb
 
 

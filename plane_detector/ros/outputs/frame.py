@@ -11,7 +11,7 @@ import numpy as np
 from std_msgs.msg import Header
 
 from plane_detector.config import NodeConfig
-from plane_detector.drawing import LabelPlace, label_places, overlay
+from plane_detector.drawing import LabelPlace, colours_by_label, label_places, overlay
 from plane_detector.planes.placed import PlacedDetection
 from plane_detector.ros.calibration import NO_DISTORTION, Distortion
 from plane_detector.ros.outputs import messages
@@ -47,6 +47,13 @@ class DetectedFrame(PlacedDetection):
         return label_places(self.labels)
 
     @cached_property
+    def colours(self) -> np.ndarray:
+        """Colour of each label, (N, 3) uint8; that of a plane shows its class."""
+        planes, shapes = self.detection.planes, messages.shape_labels(self.detection)
+        last = max(planes.labels.max(initial=0), shapes.max(initial=0))
+        return colours_by_label(planes.labels, planes.classes, int(last))
+
+    @cached_property
     def overlay(self) -> np.ndarray:
         """Image with its planes, (H, W, 3) uint8."""
-        return overlay(self.rgb, self.labels, places=self.label_places)
+        return overlay(self.rgb, self.labels, self.colours, self.label_places)

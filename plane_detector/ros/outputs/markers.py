@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from copy import copy
 from itertools import islice
 from typing import Any, NamedTuple
@@ -16,47 +16,34 @@ from rclpy.duration import Duration
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
-from plane_detector.drawing import LabelPlace, label_colours
 from plane_detector.geometry.projection import pixel_rays
 from plane_detector.planes.outline import Polygon
 from plane_detector.ros.outputs import messages
 from plane_detector.ros.outputs.frame import DetectedFrame
 from plane_detector.scale.estimate import RELATIVE
-from plane_detector.types import CameraIntrinsics, Detection, Plane, PlaneClass, Shape, ShapeType
+from plane_detector.types import Plane, Shape, ShapeType
 
 # As a share of the distance from the camera, like the sizes of captions.
 _LINE_WIDTH = 0.006
 # derived: lines in the surface of the points flicker; lifted by this share of the distance towards
 # the camera, they are in front of it and look the same from there.
-_LIFTED = 0.99
+_LIFTED_BY = 0.01
 # Of captions: legible on every colour; viewers add a dark box.
 _WHITE = ColorRGBA(r=1.0, g=1.0, b=1.0, a=1.0)
 _SURFACE_ALPHA = 0.6
 _CONE_SIDES = 24
 # derived: shares of a cone's pixels below which single wrong ones may lie; its length is as robust
 _CONE_START = 0.02
-# The viewer's eye in config/foxglove_layout.json, above and behind the camera, and its axes right,
-# down and forward. RViz looks from about there too.
-_EYE = np.array([0.0, -0.503, -0.684])
-_PHI = math.radians(174)
-_VIEW_AXES = np.array([[1.0, 0.0, 0.0], [0.0, -math.cos(_PHI), -math.sin(_PHI)],
-                       [0.0, math.sin(_PHI), -math.cos(_PHI)]])
-# Of captions, as a share of the distance from the eye: they look equal near and far, in any unit.
+# Of captions, as a share of the distance from the camera: they look equal near and far.
 _TEXT_HEIGHT = 0.025
 # As a share of the distance from the camera.
 _ARROW_LENGTH = 0.15
-# derived: limits, as a share of the plane's own size, that keep neighbouring captions apart.
+# chosen: limits, as a share of the plane's own size, that keep neighbouring captions apart.
 _LARGEST_TEXT_HEIGHT, _LARGEST_ARROW = 0.2, 0.5
-# derived: a plane with a smaller share of the pixels has no room for a caption.
-_MIN_SHARE = 0.01
-# derived: the width of a monospaced character is .6 of its height, and viewers draw a box around
-# the text.
+# derived: the width of a monospaced character is .6 of its height; viewers draw a box around text.
 _ADVANCE, _BOX = 0.6, 1.5
-# derived: a text is in front of the part of the plane that it covers, but not closer than three
-# quarters of the distance, so that it stays near its plane from other viewpoints.
-_BEFORE_PLANE, _NEAREST = 0.98, 0.75
-_SHORT_NAMES = {PlaneClass.UNKNOWN: '', PlaneClass.OTHER: '',
-                PlaneClass.OTHER_HORIZONTAL: 'horizontal'}
+# chosen: a caption stays near its plane, by this share of its distance from the camera.
+_FARTHEST_LIFT = 0.25
 
 
 def markers_to_msg(frame: DetectedFrame) -> MarkerArray:
@@ -66,19 +53,17 @@ def markers_to_msg(frame: DetectedFrame) -> MarkerArray:
     The first marker deletes all that were shown before, also those of an earlier node.
     """
     found = frame.detection
-    labels = found.planes.labels.tolist()
-    captions = plane_captions(found, labels, frame.intrinsics, frame.label_places)
     blank = Marker(header=frame.target_header,
                    lifetime=Duration(seconds=frame.settings.marker_lifetime).to_msg())
     markers = [_marker(blank, action=Marker.DELETEALL)]
-    for index, label in enumerate(labels):
-        markers += _plane_markers(frame, blank, index, label, captions.get(label))
+    for index in range(len(found.planes)):
+        markers += _plane_markers(frame, blank, index)
     return MarkerArray(markers=[*markers, *_shape_markers(frame, blank)])
 
 
-def _plane_markers(frame: DetectedFrame, blank: Marker, index: int, label: int,
-                   caption: Caption | None) -> Iterator[Marker]:
-    plane, colour = frame.detection.planes[index], _colour(label)
+def _plane_markers(frame: DetectedFrame, blank: Marker, index: int) -> Iterator[Marker]:
+    plane = frame.detection.planes[index]
+    label, colour = plane.label, _colour(frame, plane.label)
     line_width_m = _LINE_WIDTH * math.hypot(*plane.centroid_m)
     if segments := _segments(frame, frame.camera_polygons[index]):  # none if it is too narrow
         yield _marker(blank, ns='outline', id=label, type=Marker.LINE_LIST, color=colour,
@@ -88,10 +73,10 @@ def _plane_markers(frame: DetectedFrame, blank: Marker, index: int, label: int,
     yield _marker(blank, ns='normal', id=label, type=Marker.ARROW, color=colour,
                   scale=Vector3(x=line_width_m, y=3 * line_width_m),
                   points=_points(frame.placed(arrow_m)))
-    if caption is not None:
-        yield _marker(blank, ns='caption', id=label, type=Marker.TEXT_VIEW_FACING, color=_WHITE,
-                      scale=Vector3(z=caption.height_m), text=caption.text,
-                      pose=messages.pose_msg(frame.placed(caption.position_m)))
+    caption = plane_caption(plane, _middle_m(plane, frame), frame.detection.scale_method)
+    yield _marker(blank, ns='caption', id=label, type=Marker.TEXT_VIEW_FACING, color=_WHITE,
+                  scale=Vector3(z=caption.height_m), text=caption.text,
+                  pose=messages.pose_msg(frame.placed(caption.position_m)))
 
 
 def _segments(frame: DetectedFrame, outlines: Sequence[Polygon]) -> list[Point]:
@@ -99,7 +84,7 @@ def _segments(frame: DetectedFrame, outlines: Sequence[Polygon]) -> list[Point]:
     if not outlines:
         return []
     corners_m = np.concatenate([outline.corners_m for outline in outlines])
-    corners = iter(_points(frame.placed(_LIFTED * corners_m)))
+    corners = iter(_points(frame.placed((1 - _LIFTED_BY) * corners_m)))
     ends = []
     for outline in outlines:
         around = list(islice(corners, len(outline.corners_m)))
@@ -119,9 +104,8 @@ def _shape_markers(frame: DetectedFrame, blank: Marker) -> Iterator[Marker]:
             ShapeType.SPHERE: (Marker.SPHERE, (diameter_m,) * 3)}[shape.type]
         corners_m = (_cone_corners(shape, _cone_start_m(frame, index))
                      if shape.type == ShapeType.CONE else ())
-        yield _marker(blank, ns='shape', id=label, type=kind,
-                      color=_colour(label, _SURFACE_ALPHA), scale=Vector3(x=x_m, y=y_m, z=z_m),
-                      points=_points(corners_m),
+        yield _marker(blank, ns='shape', id=label, type=kind, scale=Vector3(x=x_m, y=y_m, z=z_m),
+                      color=_colour(frame, label, _SURFACE_ALPHA), points=_points(corners_m),
                       pose=messages.pose_msg(shape.position_m, _orientation(shape.axis)))
 
 
@@ -162,8 +146,8 @@ def _marker(blank: Marker, **fields: Any) -> Marker:
     return marker
 
 
-def _colour(label: int, alpha: float = 1.0) -> ColorRGBA:
-    red, green, blue = (label_colours(np.array(label)) / 255.0).tolist()
+def _colour(frame: DetectedFrame, label: int, alpha: float = 1.0) -> ColorRGBA:
+    red, green, blue = (frame.colours[label] / 255.0).tolist()
     return ColorRGBA(r=red, g=green, b=blue, a=alpha)
 
 
@@ -185,64 +169,33 @@ def arrow_length_m(plane: Plane) -> float:
                _LARGEST_ARROW * math.sqrt(plane.area_m2))
 
 
-def plane_name(detection: Detection, index: int, label: int) -> str:
-    """Return the label of a plane with its class, if that says more than "other"."""
-    kind = PlaneClass(detection.planes.classes[index])
-    return f'{label} {_SHORT_NAMES.get(kind, kind.name.lower())}'.rstrip()
+def plane_name(plane: Plane) -> str:
+    """Return the label of a plane with its class."""
+    return f'{plane.label} {plane.plane_class.readable}'
 
 
-def plane_captions(detection: Detection, labels: Sequence[int], intrinsics: CameraIntrinsics,
-                   places: Mapping[int, LabelPlace]) -> dict[int, Caption]:
+def plane_caption(plane: Plane, middle_m: np.ndarray, scale_method: str) -> Caption:
     """
-    Return the captions that are shown, by label.
+    Return label, class and d of a plane as a text at one of its points.
 
-    A caption is placed where its plane is widest in the image, by default at the centroid, in
-    front of the plane, and faces the viewer. A small plane has none. If two overlap as seen from
-    where the layout of the viewer looks, the one of the larger plane is kept.
+    The text faces the viewer. It is lifted along the normal by as much as it would reach into the
+    plane, seen from where the camera is.
     """
-    captions: dict[int, Caption] = {}
-    boxes: list[Sequence[float]] = []
-    unit = '' if detection.scale_method == RELATIVE else ' m'
-    for index in sorted(range(len(labels)), key=lambda k: -detection.planes[k].inlier_count):
-        plane, label = detection.planes[index], labels[index]
-        if plane.inlier_count < _MIN_SHARE * detection.labels.size:
-            break
-        text = f'{plane_name(detection, index, label)}: {plane.offset_m:.2f}{unit}'
-        sight_m = _middle_m(plane, places.get(label), detection.depth_m, intrinsics) - _EYE
-        height_m = min(_TEXT_HEIGHT * math.hypot(*sight_m),
-                       _LARGEST_TEXT_HEIGHT * math.sqrt(plane.area_m2))
-        half_m = _BOX * height_m / 2 * np.array([_ADVANCE * len(text), 1.0])
-        across_m, depth_m = _VIEW_AXES[:2] @ sight_m, float(_VIEW_AXES[2] @ sight_m)
-        box = (np.concatenate([across_m - half_m, across_m + half_m]) / depth_m).tolist()
-        if depth_m > 0 and not any(_overlap(box, other) for other in boxes):
-            boxes.append(box)
-            share = _share_before(plane, sight_m, half_m)
-            captions[label] = Caption(text, _EYE + share * sight_m, share * height_m)
-    return captions
+    unit = '' if scale_method == RELATIVE else ' m'
+    text = f'{plane_name(plane)}, d {plane.offset_m:.2f}{unit}'
+    distance_m = math.hypot(*middle_m)
+    height_m = min(_TEXT_HEIGHT * distance_m, _LARGEST_TEXT_HEIGHT * math.sqrt(plane.area_m2))
+    half_m = _BOX * height_m / 2 * np.array([_ADVANCE * len(text), 1.0])
+    lift_m = min(float(abs(plane.normal[:2]) @ half_m) + _LIFTED_BY * distance_m,
+                 _FARTHEST_LIFT * distance_m)
+    return Caption(text, middle_m + lift_m * plane.normal, height_m)
 
 
-def _middle_m(plane: Plane, place: LabelPlace | None, depth_m: np.ndarray,
-              intrinsics: CameraIntrinsics) -> np.ndarray:
+def _middle_m(plane: Plane, frame: DetectedFrame) -> np.ndarray:
     """Return the point where a plane is widest in the image, else its centroid."""
+    place, camera = frame.label_places.get(plane.label), frame.intrinsics
     if place is None:
         return plane.centroid_m
-    z_m = float(depth_m[place.row, place.column])
-    return z_m * np.array([(place.column - intrinsics.cx) / intrinsics.fx,
-                           (place.row - intrinsics.cy) / intrinsics.fy, 1.0])
-
-
-def _share_before(plane: Plane, sight_m: np.ndarray, half_m: np.ndarray) -> float:
-    """Return the share of the way from the eye at which a text is in front of its plane."""
-    right, down = half_m[0] * _VIEW_AXES[0], half_m[1] * _VIEW_AXES[1]
-    nearness = max(-float(plane.normal @ (sight_m + x * right + y * down))
-                   for x in (-1, 1) for y in (-1, 1))
-    to_eye_m = float(plane.normal @ _EYE) + plane.offset_m
-    if nearness <= 0 or to_eye_m <= 0:  # behind the horizon of the plane, or seen from behind
-        return 1.0
-    return min(max(_BEFORE_PLANE * to_eye_m / nearness, _NEAREST), 1.0)
-
-
-def _overlap(first: Sequence[float], second: Sequence[float]) -> bool:
-    """Return whether two boxes overlap: left, top, right, bottom."""
-    return (first[0] < second[2] and first[1] < second[3]
-            and second[0] < first[2] and second[1] < first[3])
+    z_m = float(frame.detection.depth_m[place.row, place.column])
+    return z_m * np.array([(place.column - camera.cx) / camera.fx,
+                           (place.row - camera.cy) / camera.fy, 1.0])

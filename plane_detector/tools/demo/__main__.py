@@ -3,10 +3,9 @@
 """
 Demo: sends photographs to the node over its topics, and draws the planes that it publishes.
 
-Without --images it uses two photographs that are included in libraries. The first one, a workshop,
-is similar to the training images of indoor networks. It has a measured depth, with which the demo
-runs a second time, as with a depth camera. The second photograph is outdoors, where these networks
-do badly.
+Without --images it uses two photographs that are included in libraries: first a workshop with the
+depth of a stereo camera, as with a depth camera; then the same and a temple outdoors through a
+depth network.
 """
 
 from __future__ import annotations
@@ -27,12 +26,8 @@ with quiet_interrupt(), explained_imports('numba', installed=['scipy']):
     from plane_detector import drawing
     from plane_detector.config import DepthConfig
     from plane_detector.depth.networks import NETWORKS, resolve
-    from plane_detector.directions.finder import CameraImage, find_in_image
-    from plane_detector.directions.vanishing import SceneDirections
-    from plane_detector.geometry.disparity import to_disparity
     from plane_detector.ros.spinning import CannotRunError
     from plane_detector.segmentation.baselines import ransac_alone
-    from plane_detector.tools.demo.directions import draw_directions
     from plane_detector.tools.demo.photographs import (
         Lens,
         Photograph,
@@ -42,14 +37,6 @@ with quiet_interrupt(), explained_imports('numba', installed=['scipy']):
     from plane_detector.tools.demo.session import Received, Session
     from plane_detector.tools.files import csv_row, depth_panel, write_ply
     from plane_detector.tools.show import plane_lines
-    from plane_detector.types import CameraIntrinsics, PlaneClass
-
-# By class: name of the colour, and its place in the palette.
-COLOURS = {PlaneClass.FLOOR: ('green', 1), PlaneClass.CEILING: ('yellow', 3),
-           PlaneClass.WALL: ('blue', 2), PlaneClass.OTHER_HORIZONTAL: ('orange', 6),
-           PlaneClass.OTHER: ('violet', 4), PlaneClass.RAMP: ('cyan', 5),
-           PlaneClass.STEP: ('orange', 6)}
-
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the demo; return the exit code."""
@@ -66,13 +53,14 @@ def _run(options: argparse.Namespace) -> int:
                          'folder by --images (make demo IMAGES=...)')
     photographs = folder_images(options.images, lens) if options.images else library_images()
     options.output.mkdir(parents=True, exist_ok=True)
+    measured = [one for one in photographs if one.true_depth_m is not None]
+    if measured:
+        print('With measured depth, as from a depth camera:')
+        _show(measured, {'depth.source': 'topic'}, 'measured depth', '_depth_topic',
+              options.output)
     if not options.without_network:
         network = _network(options)
         _show(photographs, network, f'depth from {Path(network["depth.model"]).stem}', '',
-              options.output)
-    measured = [one for one in photographs if one.true_depth_m is not None]
-    if measured:
-        _show(measured, {'depth.source': 'topic'}, 'measured depth', '_depth_topic',
               options.output)
     print(f'\nThe images are in {options.output}/')
     return 0
@@ -89,7 +77,10 @@ def _network(options: argparse.Namespace) -> dict[str, str]:
             raise ValueError('--model-output must state the output of a network file')
         return {'depth.model': str(path.absolute()), 'depth.output': options.model_output}
     network, path, reason, _ = resolve(DepthConfig(model=model))
-    print(f'Depth network: {reason}.\n  {path}\n  {network.output}, {network.summary}')
+    print(f'\nThrough a depth network: {reason}.\n  {path}\n  {network.output}, {network.summary}')
+    if network.name == 'fastdepth':
+        print('  It is the smallest one and knows little but floors and large walls indoors. Most '
+              'planes below\n  are wrong; better networks: ros2 run plane_detector fetch.')
     return {'depth.model': network.name}
 
 
@@ -99,43 +90,33 @@ def _show(photographs: Sequence[Photograph], parameters: Mapping[str, str], dept
     with Session(parameters) as session:
         for photograph in photographs:
             received, name = session.process(photograph), photograph.name + suffix
-            directions = _directions_of(photograph, received)
             paths = [folder / f'{name}.{kind}' for kind in ('png', 'ply', 'csv')]
-            figure = _figure(photograph, directions, depth_title, received)
+            figure = _figure(photograph, depth_title, received)
             cv2.imwrite(str(paths[0]), cv2.cvtColor(figure, cv2.COLOR_RGB2BGR))
             _write_tables(paths[1], paths[2], photograph, received)
-            _print(name, photograph, directions, received)
+            _print(name, photograph, received)
             print('  ' + ', '.join(map(str, paths)))
-
-
-def _directions_of(photograph: Photograph, received: Received) -> SceneDirections:
-    """Return the directions as the node finds them, by lines and depth, in an image seen again."""
-    disparity = to_disparity(received.depth_m) if received.unit == 'm' else None
-    image = CameraImage(photograph.rgb, photograph.intrinsics, disparity=disparity)
-    return find_in_image(image, before=find_in_image(image)).directions
 
 
 def _write_tables(ply: Path, table: Path, photograph: Photograph, received: Received) -> None:
     """Write the labelled cloud and the rows of the planes."""
     points, labels = received.points, received.points['label']
     xyz_m = np.stack([points['x'], points['y'], points['z']], axis=-1)
-    write_ply(ply, xyz_m, drawing.tint(photograph.rgb, labels), labels,
+    write_ply(ply, xyz_m, drawing.tint(photograph.rgb, labels, _colours(received.planes)), labels,
               in_metres=received.unit == 'm')
     with open(table, 'w', newline='', encoding='utf-8') as file:
         csv.writer(file).writerows([received.planes.dtype.names,
                                     *map(csv_row, received.planes)])
 
 
-def _print(name: str, photograph: Photograph, directions: SceneDirections,
-           received: Received) -> None:
+def _print(name: str, photograph: Photograph, received: Received) -> None:
     """Print the table of planes and the time of a frame."""
     size = photograph.intrinsics
     print(f'\n{name}: {size.width} x {size.height}, fx {size.fx:.0f} px, '
           f'{photograph.calibration}')
     print('\n'.join(f'  {line}' for line in plane_lines(received.planes)))
     if not _legend(received.planes):
-        print('  (the direction of gravity is not known: no floor, no walls'
-              f'{f"; {directions.refusal}" if directions.refusal else ""})')
+        print(f'  (no floor, no walls: the direction of gravity is not known{received.note})')
     if received.unit != 'm':
         print('  (lengths in an unknown unit)')
     print(f'  {received.frame_ms:.0f} ms from the image to the planes, all through the topics of '
@@ -144,47 +125,29 @@ def _print(name: str, photograph: Photograph, directions: SceneDirections,
         print(f'  {photograph.remark}')
 
 
-def _figure(photograph: Photograph, directions: SceneDirections, depth_title: str,
-            received: Received) -> np.ndarray:
+def _figure(photograph: Photograph, depth_title: str, received: Received) -> np.ndarray:
     """Return image, depth, planes of RANSAC alone, and planes by class."""
     planes, rgb, classes = received.planes, photograph.rgb, _legend(received.planes)
     alone = ransac_alone(received.depth_m) + 1
-    colours = drawing.label_colours(np.arange(planes['label'].max(initial=0) + 1))
-    for plane in planes:
-        if plane['class'] in COLOURS:
-            colours[plane['label']] = drawing.PALETTE[COLOURS[plane['class']][1]]
     return drawing.figure([
-        _directions_panel(photograph, directions),
+        ('image', rgb),
         depth_panel(depth_title, received.depth_m, received.unit),
         (f'RANSAC alone: {len(np.unique(alone[alone > 0]))} planes', drawing.overlay(rgb, alone)),
         (f'{len(planes)} planes{f": {classes}" if classes else ""}',
-         drawing.overlay(rgb, received.points['label'], colours)),
+         drawing.overlay(rgb, received.points['label'], _colours(planes))),
     ])
 
 
-def _directions_panel(photograph: Photograph, found: SceneDirections) -> tuple[str, np.ndarray]:
-    """Return the image with the vertical, the axes and the horizon."""
-    axes = found.pairs[:1].reshape(-1, 3)
-    drawn = draw_directions(photograph.rgb, photograph.intrinsics, found.gravity_camera, axes)
-    if found.gravity_camera is None:
-        return 'image', drawn
-    level = ', horizontal axes red and green' if len(axes) else ''
-    horizon = ', horizon yellow' if _sees_horizon(photograph.intrinsics, found) else ''
-    return f'image: vertical blue{level}{horizon}', drawn
-
-
-def _sees_horizon(camera: CameraIntrinsics, found: SceneDirections) -> bool:
-    """Return whether corners of the image lie on both sides of the horizon."""
-    corners = np.array([((u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, 1.0)
-                        for u in (0, camera.width) for v in (0, camera.height)])
-    side = corners @ found.gravity_camera
-    return bool(side.min() < 0 < side.max())
+def _colours(planes: np.ndarray) -> np.ndarray:
+    """Return the colour of each label, as in the topics of the node."""
+    return drawing.colours_by_label(planes['label'], planes['class'],
+                                    int(planes['label'].max(initial=0)))
 
 
 def _legend(planes: np.ndarray) -> str:
     """Return the classes in the scene with their colours; empty if none is known."""
-    return ', '.join(f'{kind.name.lower().replace("_", " ")} {colour}'
-                     for kind, (colour, _) in COLOURS.items() if (planes['class'] == kind).any())
+    return ', '.join(f'{kind.readable} {name}' for kind, (name, _) in drawing.CLASS_COLOURS.items()
+                     if (planes['class'] == kind).any())
 
 
 def _parser() -> argparse.ArgumentParser:

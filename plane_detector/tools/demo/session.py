@@ -46,6 +46,7 @@ class Received:
     depth_m: np.ndarray
     unit: str
     frame_ms: float
+    note: str  # why the image does not give gravity; empty if it does
 
 
 class Session:
@@ -128,7 +129,8 @@ class Session:
         return Received(
             read_cloud(self._messages['points']), read_cloud(self._messages['planes']).ravel(),
             depth_from_msg(self._messages['depth']),
-            'units' if self._facts['scale'] == RELATIVE else 'm', 1e3 * float(np.median(seconds)))
+            'units' if self._facts['scale'] == RELATIVE else 'm', 1e3 * float(np.median(seconds)),
+            f"; {self._facts['gravity_note']}" if 'gravity_note' in self._facts else '')
 
     def _send(self, photograph: Photograph) -> None:
         """Publish once and wait for all outputs of this image."""

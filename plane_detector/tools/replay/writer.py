@@ -229,7 +229,8 @@ class ReplayFiles:
         if self._ply is not None:
             points_m = depth_to_points(result.detection.depth_m, result.intrinsics)
             with _whole(self._ply / f'{index:06d}.ply') as path:
-                write_ply(path, points_m, drawing.tint(result.rgb, result.labels), result.labels,
+                tinted = drawing.tint(result.rgb, result.labels, result.colours)
+                write_ply(path, points_m, tinted, result.labels,
                           in_metres=result.detection.scale_method != RELATIVE)
         for name, (_, file) in self._tables.items():
             if name not in messages:  # its pose is not known
@@ -254,5 +255,5 @@ def _figure(result: DetectedFrame) -> np.ndarray:
     return drawing.figure([
         (f'image of {stamp_text(result)}', result.rgb),
         depth_panel('depth', detection.depth_m, unit),
-        (f'{len(detection.planes)} planes', drawing.overlay(result.rgb, result.labels)),
+        (f'{len(detection.planes)} planes', result.overlay),
     ], columns=3)

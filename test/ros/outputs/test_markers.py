@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from visualization_msgs.msg import Marker
 
 from plane_detector.ros.outputs.topics import OUTPUTS
-from plane_detector.types import NO_PLANES, ShapeType
+from plane_detector.types import NO_PLANES, PlaneClass, Planes, ShapeType
 
 BOTH_FRAMES = pytest.mark.parametrize('to_target', [None, scene.TARGET], ids=['camera', 'target'])
 
@@ -72,6 +72,40 @@ def test_normals_look_at_the_camera(to_target):
         along_m = tip_m - tail_m
         np.testing.assert_allclose(along_m / np.linalg.norm(along_m), scene.EQUATIONS[index][0],
                                    atol=1e-9)
+
+
+@BOTH_FRAMES
+def test_captions_say_label_class_and_d_in_front_of_their_planes(to_target):
+    captions = shown('caption', to_target)
+    assert {label: one.text for label, one in captions.items()} == {
+        7: '7 wall, d 3.00 m', 3: '3 floor, d 0.60 m'}
+    for label, index in ((7, scene.WALL), (3, scene.FLOOR)):
+        normal, offset_m = scene.EQUATIONS[index]
+        marker = captions[label]
+        (at_m,) = in_camera([marker.pose.position], to_target)
+        half_width_m = 0.3 * marker.scale.z * len(marker.text)
+        for x, y in ((-1, -1), (-1, 1), (1, -1), (1, 1)):  # the corners face the camera
+            corner_m = at_m + np.array([x * half_width_m, y * marker.scale.z / 2, 0])
+            assert corner_m @ normal + offset_m > 0
+        on_plane_m = at_m - (at_m @ normal + offset_m) * normal
+        u, v = on_plane_m[:2] / on_plane_m[2] * (80.0, 95.0) + (30.5, 45.25)
+        assert scene.depth_and_labels()[1][round(v), round(u)] == index
+
+
+def test_other_planes_have_captions_too():
+    planes = [replace(scene.plane(index), plane_class=kind, area_m2=0.001) for index, kind in (
+        (scene.WALL, PlaneClass.OTHER), (scene.FLOOR, PlaneClass.UNKNOWN))]
+    captions = shown('caption', found=scene.detection(planes=Planes.of(planes),
+                                                      scale_method='relative'))
+    assert [one.text for one in captions.values()] == ['7 other, d 3.00', '3 unknown, d 0.60']
+    assert all(one.scale.z < 0.01 for one in captions.values()), 'small planes, small captions'
+
+
+def test_markers_have_the_colours_of_the_overlay():
+    for namespace in ('outline', 'normal', 'shape'):
+        for label, marker in shown(namespace).items():
+            colour = np.array([marker.color.r, marker.color.g, marker.color.b]) * 255
+            np.testing.assert_allclose(colour, scene.frame().colours[label], atol=1e-3)
 
 
 @BOTH_FRAMES

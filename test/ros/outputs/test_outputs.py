@@ -11,7 +11,7 @@ import pytest
 from ros_helpers import cloud_array, header, image_array
 from scipy.spatial.transform import Rotation
 
-from plane_detector.drawing import label_colours
+from plane_detector.drawing import label_colours, plane_colours
 from plane_detector.ros.outputs.messages import read_cloud
 from plane_detector.ros.outputs.topics import OUTPUTS
 from plane_detector.types import NO_PLANES, Detection, ShapeType
@@ -60,7 +60,7 @@ def test_points(to_target, step):
 
 def test_points_have_the_colours_of_their_planes_or_these_mixed_with_the_image():
     rgb, is_found = scene.frame().rgb.astype(float), PIXEL_LABELS[..., None] > 0
-    of_label = label_colours(np.maximum(PIXEL_LABELS, 1)).astype(float)
+    of_label = scene.frame().colours[PIXEL_LABELS].astype(float)
     by_label = packed_colours(cloud_array(make('points', points_color='label')))
     np.testing.assert_array_equal(by_label, np.where(is_found, of_label, 0))
     mixed = packed_colours(cloud_array(make('points', points_color='overlay')))
@@ -169,11 +169,18 @@ def test_the_images_stay_in_the_frame_of_the_camera(to_target):
     np.testing.assert_array_equal(image_array(depth, '<f4')[..., 0], scene.depth_and_labels()[0])
 
 
+def test_the_colour_of_a_plane_is_that_of_its_class_and_of_a_shape_that_of_its_label():
+    colours = scene.frame().colours
+    np.testing.assert_array_equal(colours[list(scene.TRACKS)],
+                                  plane_colours(scene.TRACKS, scene.CLASSES))
+    np.testing.assert_array_equal(colours[scene.BALL_LABEL], label_colours(scene.BALL_LABEL))
+
+
 def test_overlay():
     msg = make('overlay')
     assert (msg.encoding, msg.step, msg.header) == ('rgb8', 330, header(1.5))
     drawn, rgb = image_array(msg, 'u1', 3).astype(float), scene.frame().rgb.astype(float)
-    mixed = 0.45 * rgb + 0.55 * label_colours(np.maximum(PIXEL_LABELS, 1))
+    mixed = 0.45 * rgb + 0.55 * scene.frame().colours[PIXEL_LABELS]
     expected = np.where(PIXEL_LABELS[..., None] > 0, mixed, rgb)
     wrong = np.abs(drawn - expected).max(axis=-1) > 1.01
     assert 0.03 < wrong.mean() < 0.2, 'only the outlines and the numbers'
