@@ -20,8 +20,17 @@ class DepthConfig(Settings, section='depth'):
     """Where depth comes from and how the network is run."""
 
     source: str = fixed_setting(
-        'model', 'depth from the network (model) or from the depth topic (topic)',
-        choices=('model', 'topic'))
+        'model', 'depth from the network (model), from depth images (topic) or from organised '
+        'point clouds on depth/points (points)', choices=('model', 'topic', 'points'))
+    transport: str = fixed_setting(
+        'raw', 'raw: sensor_msgs/Image on depth; compressedDepth: sensor_msgs/CompressedImage on '
+        'depth/compressedDepth', choices=('raw', 'compressedDepth'))
+    unit: float = fixed_setting(
+        0.0, 'metres of one count of measured depth, such as 0.0001; 0: by the encoding, 16UC1 '
+        'millimetres, 32FC1 metres', 'm', 0.0, 1.0)
+    colour: str = fixed_setting(
+        'image', 'image: depth belongs to a colour image; none: depth alone, no image is needed',
+        choices=('image', 'none'))
     model: str = fixed_setting(
         'auto', 'name of a network of the zoo, path of an .onnx file, or auto: the best one that '
         'is cached or can be downloaded now')
@@ -85,6 +94,13 @@ class DepthConfig(Settings, section='depth'):
                              f'not {self.input_width} and {self.input_height}')
         if not self.providers:
             raise ValueError('depth.providers must name at least one execution provider')
+        if self.colour == 'none' and not self.is_measured:
+            raise ValueError('depth.colour can be none only with depth.source topic or points')
+
+    @property
+    def is_measured(self) -> bool:
+        """Whether a sensor measures depth, and no network is used."""
+        return self.source != 'model'
 
 
 @dataclass(frozen=True)

@@ -147,7 +147,7 @@ class SensorDepth:
                 config: Config) -> Observation:
         """Return the observation of a depth image; ValueError without one."""
         if depth_m is None:
-            raise ValueError('depth.source is topic, but no depth image was given')
+            raise ValueError('depth.source is topic or points, but no depth was given')
         prediction = Prediction(self.output, limited_depth(depth_m, config.depth.max_depth))
         return Observation(rgb, intrinsics, config, prediction, is_measured=True)
 
@@ -260,7 +260,7 @@ def make_source(config: Config, model: ModelOrFunction | None) -> DepthSource:
         as raised by :class:`~plane_detector.depth.estimator.DepthEstimator`.
 
     """
-    if model is None and config.depth.source == 'topic':
+    if model is None and config.depth.is_measured:
         return SensorDepth()
     if model is None:
         from plane_detector.depth.estimator import DepthEstimator  # imports ONNX Runtime

@@ -20,6 +20,8 @@ class Distortion(NamedTuple):
     coefficients: tuple[float, ...]
 
 
+MODEL_NAMES = {'': 'plumb_bob', 'fisheye': 'equidistant', 'kannala_brandt4': 'equidistant'}
+"""Names of sensor_msgs for the distortion models that drivers call otherwise."""
 NO_DISTORTION = Distortion('plumb_bob', (0.0,) * 5)
 
 

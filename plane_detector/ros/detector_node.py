@@ -47,7 +47,7 @@ from plane_detector.ros.frame_worker import (
     answer_trigger,
     describe_frame,
 )
-from plane_detector.ros.inputs.subscriptions import Subscriptions, input_topics
+from plane_detector.ros.inputs.subscriptions import Subscriptions, anchor_role, input_topics
 from plane_detector.ros.inputs.transforms import FrameTransforms, listen_to_tf
 from plane_detector.ros.live_settings import LiveSettings, load_kernels
 from plane_detector.ros.outputs.frame import DetectedFrame
@@ -65,7 +65,8 @@ class PlaneDetectorNode(LifecycleNode):
     """
     The node ``plane_detector``; docs/topics.md describes its interface.
 
-    Subscribes to image or image/compressed, camera_info, depth, imu, clicked_point, and /tf. See
+    Subscribes to image or image/compressed, camera_info, depth, depth/compressedDepth or
+    depth/points, imu, clicked_point, and /tf. See
     :mod:`~plane_detector.ros.inputs.subscriptions`. Publishes ~/points, ~/points_without_floor,
     ~/ground, ~/drops, ~/planes, ~/planes_json, ~/detections, ~/boundaries, ~/plane_poses,
     ~/markers, ~/shapes, ~/labels, ~/depth, ~/overlay, ~/overlay/compressed, ~/camera_info,
@@ -148,7 +149,9 @@ class PlaneDetectorNode(LifecycleNode):
             self._release()
             return self._fail(f'cannot be configured: {error}', isinstance(error, OSError))
         self._health.failure = ''
-        topics = input_topics(self, self._live.settings.image_transport)
+        depth = self._live.config.depth
+        topics = input_topics(self, self._live.settings.image_transport, depth)
+        topics['image'] = topics[anchor_role(depth)]
         self._processor = FrameProcessor(detector, self._live.settings, topics['image'],
                                          self._given_transforms or self._listening)
         self._flow = FrameFlow(

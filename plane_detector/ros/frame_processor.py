@@ -51,7 +51,8 @@ class FrameProcessor:
                  transforms: FrameTransforms | None = None):
         self.detector = detector
         self.settings = settings
-        self._image_topic, self._converter = image_topic, FrameConverter(image_topic)
+        self._image_topic = image_topic
+        self._converter = FrameConverter(image_topic, detector.config.depth)
         self._transforms = transforms or FrameTransforms(TransformBuffer())
         self._epoch = 0
 
@@ -148,7 +149,7 @@ def height_m(pose: CameraPose | None) -> float | None:
 def fit_to_rate(detector: PlaneDetector) -> None:
     """Choose the largest network input that keeps ``depth.target_rate``, if both are given."""
     rate_hz = detector.config.depth.target_rate
-    if rate_hz > 0 and detector.config.depth.source == 'model':
+    if rate_hz > 0 and not detector.config.depth.is_measured:
         detector.source.fit_to_rate(rate_hz, _seconds_beside_the_network(detector))
 
 

@@ -28,7 +28,7 @@ def load_kernels(config: Config, log: Callable[[str], None]) -> None:
     """Load the machine code from the user's cache, or compile it and report that to ``log``."""
     subjects = ['ros', 'drawing', 'geometry', 'segmentation', 'directions', 'planes', 'ground',
                 'tracking']
-    if config.depth.source != 'topic':
+    if not config.depth.is_measured:
         subjects.append('network')
     if config.shapes.wanted:
         subjects.append('shapes')

@@ -25,6 +25,7 @@ with quiet_interrupt(), explained_imports():
     from rclpy.wait_for_message import wait_for_message
     from sensor_msgs.msg import CameraInfo
 
+    from plane_detector.config import DepthConfig
     from plane_detector.ros.inputs.subscriptions import input_topics
 
 _FILE = 'plane_detector.rviz'
@@ -39,7 +40,7 @@ def with_frame(config: str, frame: str, node_name: str) -> str:
 
 def wait_for_frame(node: Node, timeout_s: float) -> str:
     """Return the frame of the camera; TimeoutError without CameraInfo within this time."""
-    topic = input_topics(node, 'raw')['camera_info']
+    topic = input_topics(node, 'raw', DepthConfig())['camera_info']
     is_there, msg = wait_for_message(
         CameraInfo, node, topic, qos_profile=qos_profile_sensor_data, time_to_wait=timeout_s)
     if is_there:

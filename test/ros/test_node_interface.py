@@ -14,7 +14,7 @@ import pytest
 from node_helpers import start
 from ros_helpers import bare_node
 
-from plane_detector.config import Config, NodeConfig
+from plane_detector.config import Config, DepthConfig, NodeConfig
 from plane_detector.ros.detector_node import PlaneDetectorNode
 from plane_detector.ros.inputs.subscriptions import input_topics
 from plane_detector.ros.node import main, not_of_ros
@@ -98,8 +98,24 @@ def test_foxglove_shows_overlay_cloud_markers_planes_and_state():
 def test_topics_follow_a_remapped_image(transport, remaps, expected):
     arguments = tuple(word for remap in remaps for word in ('-r', remap))
     with bare_node('camera', arguments) as node:
-        names = input_topics(node, transport)
+        names = input_topics(node, transport, DepthConfig())
     assert (names['image'], names['camera_info']) == expected
+
+
+@pytest.mark.parametrize('remap, settings, depth, camera_info', [
+    ('depth:=/cam/depth/image', {}, '/cam/depth/image', '/camera_info'),
+    ('depth:=/cam/depth/image', {'transport': 'compressedDepth'},
+     '/cam/depth/image/compressedDepth', '/camera_info'),
+    ('depth/compressedDepth:=/cam/rvl', {'transport': 'compressedDepth'}, '/cam/rvl',
+     '/camera_info'),
+    ('depth:=/cam/depth/image', {'transport': 'compressedDepth', 'colour': 'none'},
+     '/cam/depth/image/compressedDepth', '/cam/depth/camera_info'),
+    ('depth/points:=/cam/depth/points', {'source': 'points', 'colour': 'none'}, '/depth',
+     '/cam/depth/camera_info')])
+def test_topics_of_depth(remap, settings, depth, camera_info):
+    with bare_node('camera', ('-r', remap)) as node:
+        names = input_topics(node, 'raw', DepthConfig(**{'source': 'topic', **settings}))
+    assert (names['depth'], names['camera_info']) == (depth, camera_info)
 
 
 YAML = str(ROOT / 'config' / 'plane_detector.yaml')

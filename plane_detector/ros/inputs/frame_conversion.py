@@ -10,11 +10,12 @@ from typing import Any
 
 import cv2
 import numpy as np
-from sensor_msgs.msg import CameraInfo, CompressedImage
+from sensor_msgs.msg import CameraInfo, CompressedImage, PointCloud2
 
-from plane_detector.config import NodeConfig
+from plane_detector.config import DepthConfig, NodeConfig
 from plane_detector.geometry.rectification import Rectification, Reduction, make_rectification
 from plane_detector.ros.calibration import (
+    MODEL_NAMES,
     NO_DISTORTION,
     Distortion,
     crop_and_bin,
@@ -23,13 +24,16 @@ from plane_detector.ros.calibration import (
     projection_from_msg,
 )
 from plane_detector.ros.inputs import image_decoding as encodings
+from plane_detector.ros.inputs.depth_decoding import check_rays, depth_from_msg
 from plane_detector.ros.inputs.synchronizer import Frame
 from plane_detector.types import CameraIntrinsics
 
-_TRANSPORTS = ('compressed',)
+_TRANSPORTS = ('compressed', 'compressedDepth')
 _RECTIFIED_NAMES = {'rect', 'rectified'}
 _ASPECT_TOLERANCE = 0.02
 _SAME_SURFACE = 0.02
+# The colour of depth without an image.
+_GREY = 128
 
 
 @dataclass(frozen=True)
@@ -47,10 +51,12 @@ class FrameConverter:
     """
     Converts frames; the maps of the rectification are cached until the calibration changes.
 
-    The name of the image topic tells whether the images are rectified.
+    The name of the image topic tells whether the images are rectified; ``depth`` what measured
+    depth is like.
     """
 
-    def __init__(self, image_topic: str):
+    def __init__(self, image_topic: str, depth: DepthConfig | None = None):
+        self._depth = depth or DepthConfig()
         self._named_rectified = is_rectified_name(image_topic)
         self._calibration: tuple[Any, ...] = ()
         self._rectification: Rectification | None = None
@@ -65,16 +71,22 @@ class FrameConverter:
             A message is invalid, or the messages do not fit together.
 
         """
-        rgb = _decode(frame, settings.max_image_pixels)
+        has_colour, most_pixels = self._depth.colour == 'image', settings.max_image_pixels
+        measured, depth_m = frame.depth if has_colour else frame.image, None
+        if measured is not None:
+            depth_m = depth_from_msg(measured, most_pixels, self._depth.unit)
+        rgb = (_decode(frame, most_pixels) if has_colour
+               else np.full((*depth_m.shape, 3), _GREY, np.uint8))
         info = _with_size(frame.camera_info, rgb)
         rectify = self._is_to_rectify(info, settings.rectify)
         intrinsics = intrinsics_from_msg(info, rectify or self._named_rectified)
         _check_size(rgb, intrinsics)
+        if isinstance(measured, PointCloud2):
+            check_rays(measured, intrinsics)
         reduction = Reduction.to_side((intrinsics.width, intrinsics.height), settings.max_side)
         rgb, intrinsics = reduction.image(rgb), _reduced(intrinsics, reduction)
-        depth_m = None
-        if frame.depth is not None:
-            depth_m = _fit_depth(encodings.depth_from_msg(frame.depth), intrinsics)
+        if depth_m is not None:
+            depth_m = _fit_depth(depth_m, intrinsics)
         if not rectify:
             return ConvertedFrame(rgb, intrinsics, depth_m, distortion=self._distortion_left(info))
         rectification = self._rectification_of(info, reduction)
@@ -91,7 +103,7 @@ class FrameConverter:
         """Return the distortion of an image that is not rectified here."""
         if self._named_rectified or not np.any(info.d):
             return NO_DISTORTION
-        return Distortion(info.distortion_model, tuple(info.d))
+        return Distortion(_model_of(info), tuple(info.d))
 
     def _rectification_of(self, info: CameraInfo, reduction: Reduction) -> Rectification:
         calibration = (reduction, info.distortion_model, *info.d, *info.k, *info.r, *info.p,
@@ -120,7 +132,7 @@ def _reduced(intrinsics: CameraIntrinsics, reduction: Reduction) -> CameraIntrin
 
 
 def _rectification_from_msg(info: CameraInfo, reduction: Reduction) -> Rectification:
-    model = info.distortion_model or 'plumb_bob'
+    model = _model_of(info)
     no_distortion = np.zeros(4 if model == 'equidistant' else 5)
     camera_matrix = crop_and_bin(np.reshape(info.k, (3, 3)), info)
     rectified_matrix = crop_and_bin(projection_from_msg(info), info)
@@ -128,6 +140,10 @@ def _rectification_from_msg(info: CameraInfo, reduction: Reduction) -> Rectifica
         model, np.asarray(info.d) if np.any(info.d) else no_distortion,
         reduction.matrix(camera_matrix), np.reshape(info.r, (3, 3)),
         reduction.matrix(rectified_matrix), reduction.new_size)
+
+
+def _model_of(info: CameraInfo) -> str:
+    return MODEL_NAMES.get(info.distortion_model, info.distortion_model)
 
 
 def _decode(frame: Frame, most_pixels: int) -> np.ndarray:

@@ -16,23 +16,21 @@ import cv2
 import numpy as np
 from sensor_msgs.msg import CompressedImage, Image
 
-from plane_detector.geometry.disparity import limited_depth
-
-_CHANNELS = {'rgb8': 3, 'bgr8': 3, 'rgba8': 4, 'bgra8': 4, 'mono8': 1,
+_CHANNELS = {'rgb8': 3, 'bgr8': 3, 'rgba8': 4, 'bgra8': 4, 'mono8': 1, '8uc1': 1,
              'uyvy': 2, 'yuv422': 2, 'yuyv': 2, 'yuv422_yuy2': 2,
              '8uc3': 3, 'bayer_rggb8': 1, 'bayer_bggr8': 1, 'bayer_gbrg8': 1, 'bayer_grbg8': 1}
 # OpenCV names a Bayer pattern after the second row and column; ROS after the first pixels.
 # 8UC3 does not define its channels; as in OpenCV, where the name comes from, they are BGR.
 _TO_RGB = {'bgr8': cv2.COLOR_BGR2RGB, '8uc3': cv2.COLOR_BGR2RGB,
            'rgba8': cv2.COLOR_RGBA2RGB, 'bgra8': cv2.COLOR_BGRA2RGB,
-           'mono8': cv2.COLOR_GRAY2RGB,
+           'mono8': cv2.COLOR_GRAY2RGB, '8uc1': cv2.COLOR_GRAY2RGB,
            'uyvy': cv2.COLOR_YUV2RGB_UYVY, 'yuv422': cv2.COLOR_YUV2RGB_UYVY,
            'yuyv': cv2.COLOR_YUV2RGB_YUYV, 'yuv422_yuy2': cv2.COLOR_YUV2RGB_YUYV,
            'bayer_rggb8': cv2.COLOR_BayerBG2RGB, 'bayer_bggr8': cv2.COLOR_BayerRG2RGB,
            'bayer_gbrg8': cv2.COLOR_BayerGR2RGB, 'bayer_grbg8': cv2.COLOR_BayerGB2RGB}
 # The luma of all pixels, followed by the colour of each 2 x 2 block, half as many rows.
 _HALF_COLOUR = {'nv12': cv2.COLOR_YUV2RGB_NV12, 'nv21': cv2.COLOR_YUV2RGB_NV21}
-_DEPTH_ENCODINGS = ('16uc1', '32fc1')
+_DEPTH_ENCODINGS = ('16uc1', '32fc1', 'r_float32')
 # derived: PNG is ISO/IEC 15948, JPEG is ITU-T T.81, annex B.
 _PNG_BEGIN = b'\x89PNG\r\n\x1a\n\0\0\0\x0dIHDR'
 _PNG_SIGNATURE_BYTES = 8
@@ -55,7 +53,7 @@ def rgb_from_msg(msg: Image) -> np.ndarray:
     msg : sensor_msgs.msg.Image
         Encoding rgb8, bgr8, rgba8, bgra8, mono8, bayer_{rggb,bggr,gbrg,grbg}8 or one of these with
         16 bits, of which the upper 8 are taken; yuv422 (also called uyvy), yuv422_yuy2 (also
-        called yuyv), nv12, nv21 or 8UC3 (as bgr8).
+        called yuyv), nv12, nv21, 8UC3 (as bgr8) or 8UC1 (as mono8).
 
     Returns
     -------
@@ -71,11 +69,12 @@ def rgb_from_msg(msg: Image) -> np.ndarray:
     encoding = msg.encoding.lower()
     if encoding in _HALF_COLOUR:
         _check_sides(msg, encoding)
-        rows = _pixels(msg, 'u1', 1, msg.height * 3 // 2)
+        rows = pixels_of(msg, 'u1', 1, msg.height * 3 // 2)
         return cv2.cvtColor(rows, _HALF_COLOUR[encoding])
     if encoding in _DEPTH_ENCODINGS:
         raise ValueError(f'the image is depth ({msg.encoding}): remap its topic to depth, with '
-                         'depth.source topic, and give the colour image as image')
+                         'depth.source topic, and give the colour image as image, or set '
+                         'depth.colour to none')
     as_8_bit = encoding.removesuffix('16') + '8' if encoding.endswith('16') else encoding
     if as_8_bit not in _CHANNELS:
         raise ValueError(f'image encoding {msg.encoding!r} is not known; known are '
@@ -122,7 +121,8 @@ def rgb_from_compressed_msg(msg: CompressedImage, expected: tuple[int, int],
     if size[0] * size[1] > most_pixels:
         raise ValueError(f'the compressed image is {size[0]} x {size[1]}, more than '
                          f'{most_pixels} pixels')
-    return _decompressed(data, size)
+    bgr = decompressed(data, size, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+    return cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB)
 
 
 def compressed_size(data: bytes) -> tuple[int, int]:
@@ -185,17 +185,17 @@ def _jpeg_size(data: bytes) -> tuple[int, int]:
     return 0, 0
 
 
-def _decompressed(data: bytes, size: tuple[int, int]) -> np.ndarray:
+def decompressed(data: bytes, size: tuple[int, int], flags: int) -> np.ndarray:
+    """Return the pixels of a JPEG or PNG file by OpenCV; ValueError if it is damaged."""
     try:
-        bgr = cv2.imdecode(np.frombuffer(data, np.uint8),
-                           cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+        pixels = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
     except cv2.error as error:
         reason = ' '.join(error.err.split())
         raise ValueError(f'the compressed image cannot be decoded: {reason}') from error
-    if bgr is None or bgr.shape[1::-1] != size:
+    if pixels is None or pixels.shape[1::-1] != size:
         raise ValueError(f'the compressed image ({len(data)} bytes) cannot be decoded: '
                          'it is damaged')
-    return cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB)
+    return pixels
 
 
 def wrong_size(size: tuple[int, int], expected: tuple[int, int]) -> str:
@@ -204,43 +204,12 @@ def wrong_size(size: tuple[int, int], expected: tuple[int, int]) -> str:
             f'{expected[1]} (after region of interest and binning)')
 
 
-def depth_from_msg(msg: Image) -> np.ndarray:
-    """
-    Decode a depth image (REP-118).
-
-    Parameters
-    ----------
-    msg : sensor_msgs.msg.Image
-        Encoding 32FC1 (metres; not finite or not positive is invalid) or 16UC1 (millimetres;
-        0 is invalid), also under the name mono16.
-
-    Returns
-    -------
-    (H, W) float32
-        Metres, NaN where invalid.
-
-    Raises
-    ------
-    ValueError
-        The encoding is not supported, or size, step and length of the data are inconsistent.
-
-    """
-    encoding = msg.encoding.upper()
-    if encoding == '32FC1':
-        depth_m = _pixels(msg, 'f4', 1)[..., 0]
-    elif encoding in ('16UC1', 'MONO16'):
-        depth_m = _pixels(msg, 'u2', 1)[..., 0] * np.float32(0.001)
-    else:
-        raise ValueError(f'depth encoding {msg.encoding!r} is not known: 32FC1 (metres) and '
-                         '16UC1 (millimetres) are')
-    return limited_depth(depth_m)
-
-
-def _pixels(msg: Image, channel_type: str, channels: int, rows: int | None = None) -> np.ndarray:
+def pixels_of(msg: Image, channel_type: str, channels: int, rows: int | None = None) -> np.ndarray:
     """
     Return the pixels (H, W, channels) of a message, a view of its data without the padding.
 
-    ``rows`` is the number of rows in the data, if that is not the height.
+    ``rows`` is the number of rows in the data, if that is not the height. Raises ValueError if
+    size, step and length of the data are inconsistent.
     """
     rows = msg.height if rows is None else rows
     dtype = np.dtype(channel_type).newbyteorder('>' if msg.is_bigendian else '<')
@@ -260,8 +229,8 @@ def _pixels(msg: Image, channel_type: str, channels: int, rows: int | None = Non
 def _upper_bytes(msg: Image, channels: int) -> np.ndarray:
     """Return the pixels (H, W, channels) uint8, of channels of 16 bits the upper 8."""
     if msg.encoding.endswith('16'):
-        return (_pixels(msg, 'u2', channels) >> 8).astype(np.uint8)
-    return _pixels(msg, 'u1', channels)
+        return (pixels_of(msg, 'u2', channels) >> 8).astype(np.uint8)
+    return pixels_of(msg, 'u1', channels)
 
 
 def _check_sides(msg: Image, encoding: str) -> None:

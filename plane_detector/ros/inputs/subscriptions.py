@@ -17,12 +17,13 @@ from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
-from sensor_msgs.msg import CameraInfo, CompressedImage, Image, Imu
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image, Imu, PointCloud2
 from std_msgs.msg import Header
 
-from plane_detector.config import Config, NodeConfig
+from plane_detector.config import Config, DepthConfig, NodeConfig
 from plane_detector.geometry.gravity import is_identity
 from plane_detector.ros.fault_log import plain
+from plane_detector.ros.inputs.depth_decoding import COMPRESSED_DEPTH
 from plane_detector.ros.inputs.synchronizer import Frame, FrameSynchronizer, depth_use, ns_of
 from plane_detector.ros.inputs.topic_watch import (
     COMPRESSED,
@@ -149,16 +150,22 @@ class Subscriptions:
         self._node = node
         self._on_frame, self._on_dropped = on_frame, on_dropped
         self._transforms = transforms
-        self._names = input_topics(node, settings.image_transport)
+        self._names = input_topics(node, settings.image_transport, config.depth)
         self._output, self._reliability = output, settings.input_reliability
         depth = depth_use(config, output)
         self._synchronizer = FrameSynchronizer(depth, settings.stamp_slop,
                                                config.scale.imu_to_camera)
+        # The messages that are a frame each, and their role in remapping.
+        self._anchor = anchor_role(config.depth)
         compressed = settings.image_transport == 'compressed'
-        wanted = {'image': (CompressedImage if compressed else Image, self._on_image),
+        of_anchor = CompressedImage if compressed else Image
+        if self._anchor != 'image':
+            of_anchor = depth_type(config.depth)
+        wanted = {self._anchor: (of_anchor, self._on_image),
                   'camera_info': (CameraInfo, self._on_camera_info)}
+        self._depth_role, self._depth_type = depth_role(config.depth), depth_type(config.depth)
         if depth != 'unused':
-            wanted['depth'] = Image, self._on_depth
+            wanted[self._depth_role] = self._depth_type, self._on_depth
         if settings.use_imu:
             wanted['imu'] = Imu, self._on_imu
         self._watch = TopicWatch(node)
@@ -174,7 +181,7 @@ class Subscriptions:
         try:
             for role, (msg_type, on_message) in wanted.items():
                 self._subscribe(role, msg_type, on_message,
-                                is_watched=role != 'depth' or depth == 'required')
+                                is_watched=role != self._depth_role or depth != 'optional')
         except Exception:
             self.destroy()
             raise
@@ -187,10 +194,11 @@ class Subscriptions:
             self._synchronizer.mount_imu(config.scale.imu_to_camera)
             self._is_mounted = False
         self._config = config
-        if depth == 'unused' and 'depth' in self._subscriptions:
-            self._subscriptions.pop('depth').destroy()
-        elif depth == 'optional' and 'depth' not in self._subscriptions:
-            self._subscribe('depth', Image, self._on_depth, is_watched=False)
+        has_depth = self._depth_role in self._subscriptions
+        if depth == 'unused' and has_depth and self._anchor == 'image':
+            self._subscriptions.pop(self._depth_role).destroy()
+        elif depth == 'optional' and not has_depth:
+            self._subscribe(self._depth_role, self._depth_type, self._on_depth, is_watched=False)
 
     def destroy(self) -> None:
         """End the subscriptions."""
@@ -222,9 +230,10 @@ class Subscriptions:
         lost_share = 1 - arrivals.images / arrivals.camera_infos
         if abs(lost_share - self._lost_share) > _LOSS_CHANGE:
             self._lost_share = lost_share
-        return (f'{self._lost_share:.0%} of the images on {self._names["image"]} are missing: '
-                f'{self._names["camera_info"]} brings more messages. Large {MESSAGES_LOST}, this '
-                'machine is too busy to receive them, or the images are throttled')
+        topic, of_camera = self._names[self._anchor], self._names['camera_info']
+        return (f'{self._lost_share:.0%} of the images on {topic} are missing: {of_camera} brings '
+                f'more messages. Large {MESSAGES_LOST}, this machine is too busy to receive them, '
+                'or the images are throttled')
 
     def explain_unpaired(self, node_name: str) -> str:
         """
@@ -283,7 +292,7 @@ class Subscriptions:
         if now_s - self._jumps_s[0] > _JUMPS_WITHIN_S or len(self._jumps_s) < _MOST_JUMPS:
             self._node.get_logger().warning('time jumped back: buffers and tracking are reset')
             return
-        topic = self._names['image']
+        topic = self._names[self._anchor]
         senders = sorted({f'{info.node_namespace.rstrip("/")}/{info.node_name}'
                           for info in self._node.get_publishers_info_by_topic(topic)})
         self._node.get_logger().warning(
@@ -294,7 +303,7 @@ class Subscriptions:
         self._count.add_camera_info(ns_of(msg))
         self._hand_over(self._synchronizer.add_camera_info(msg))
 
-    def _on_depth(self, msg: Image) -> None:
+    def _on_depth(self, msg: Any) -> None:
         self._hand_over(self._synchronizer.add_depth(msg))
 
     def _on_imu(self, msg: Imu) -> None:
@@ -338,8 +347,9 @@ class Subscriptions:
 
     def _compare_frame_ids(self, frame: Frame) -> None:
         """Warn once if image, depth and CameraInfo are not of one camera by their frame_ids."""
-        stamped = {'image': frame.image, 'camera_info': frame.camera_info, 'depth': frame.depth}
-        ids = {role: msg.header.frame_id for role, msg in stamped.items() if msg is not None}
+        stamped = {self._anchor: frame.image, 'camera_info': frame.camera_info,
+                   self._depth_role: frame.depth or frame.image}
+        ids = {role: msg.header.frame_id for role, msg in stamped.items()}
         key = tuple(ids.values())
         if key in self._frame_ids or len(self._frame_ids) >= _MOST_FRAME_IDS:
             return
@@ -366,25 +376,50 @@ class Resolver(Protocol):
         """Return the full name, with remappings unless ``only_expand``."""
 
 
-def input_topics(node: Resolver, image_transport: str) -> dict[str, str]:
+def depth_role(depth: DepthConfig) -> str:
+    """Return the name by which the topic of measured depth is remapped."""
+    return 'depth/points' if depth.source == 'points' else 'depth'
+
+
+def anchor_role(depth: DepthConfig) -> str:
+    """Return the role of the messages of which each is a frame: images, or depth without any."""
+    return 'image' if depth.colour == 'image' else depth_role(depth)
+
+
+def depth_type(depth: DepthConfig) -> Any:
+    """Return the type of the messages of measured depth."""
+    if depth.source == 'points':
+        return PointCloud2
+    return CompressedImage if depth.transport == 'compressedDepth' else Image
+
+
+def input_topics(node: Resolver, image_transport: str, depth: DepthConfig) -> dict[str, str]:
     """
     Return the full names of the inputs, by the names used for remapping.
 
-    The compressed topic follows ``image``, as in image_transport, and ``camera_info`` is in the
-    namespace of the image, unless they are remapped themselves.
+    The compressed topics follow ``image`` and ``depth``, as in image_transport, and
+    ``camera_info`` is in the namespace of the image, or of depth without one, unless they are
+    remapped themselves.
     """
-    base = node.resolve_topic_name('image').removesuffix(COMPRESSED)
-    image = node.resolve_topic_name('image')
-    if image_transport == 'compressed':
-        image = base + COMPRESSED
-        if _is_remapped(node, 'image/compressed'):
-            image = node.resolve_topic_name('image/compressed')
-            base = image.removesuffix(COMPRESSED)
+    of_image = COMPRESSED if image_transport == 'compressed' else ''
+    of_depth = COMPRESSED_DEPTH if depth.transport == 'compressedDepth' else ''
+    names = {'image': _in_transport(node, 'image', of_image),
+             'depth': _in_transport(node, 'depth', of_depth),
+             'depth/points': node.resolve_topic_name('depth/points'),
+             'imu': node.resolve_topic_name('imu')}
     camera_info = node.resolve_topic_name('camera_info')
     if not _is_remapped(node, 'camera_info'):
+        base = names[anchor_role(depth)].removesuffix(COMPRESSED).removesuffix(COMPRESSED_DEPTH)
         camera_info = f'{base.rpartition("/")[0]}/camera_info'
-    return {'image': image, 'camera_info': camera_info,
-            **{role: node.resolve_topic_name(role) for role in ('depth', 'imu')}}
+    return {**names, 'camera_info': camera_info}
+
+
+def _in_transport(node: Resolver, topic: str, suffix: str) -> str:
+    """Return the name of a topic in a transport, which can be remapped itself."""
+    if suffix and _is_remapped(node, topic + suffix):
+        return node.resolve_topic_name(topic + suffix)
+    name = node.resolve_topic_name(topic)
+    return name.removesuffix(suffix) + suffix if suffix else name
 
 
 def _is_remapped(node: Resolver, topic: str) -> bool:

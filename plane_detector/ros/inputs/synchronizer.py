@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from sensor_msgs.msg import CameraInfo, CompressedImage, Image, Imu
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image, Imu, PointCloud2
 
 from plane_detector.config import Config
 from plane_detector.geometry.gravity import gravity_from_acceleration, smooth_gravity
@@ -35,21 +35,21 @@ class Frame:
     another size waits for the next CameraInfo while these keep arriving.
     """
 
-    image: Image | CompressedImage
+    image: Image | CompressedImage | PointCloud2  # depth itself, if there is no colour
     camera_info: CameraInfo
-    depth: Image | None  # measured, if used
+    depth: Image | CompressedImage | PointCloud2 | None  # measured, beside the image
     gravity_camera: np.ndarray | None  # (3,) float64, direction in the optical frame, by an IMU
     epoch: int  # increases if time jumps back: frames of different epochs share no history
 
 
 def depth_use(config: Config, output: str) -> str:
     """
-    Return whether measured depth is ``required``, ``optional`` or ``unused``.
+    Return whether measured depth beside an image is ``required``, ``optional`` or ``unused``.
 
     Of the outputs of networks only relative disparity uses the unit of measured depth.
     """
-    if config.depth.source == 'topic':
-        return 'required'
+    if config.depth.is_measured:
+        return 'required' if config.depth.colour == 'image' else 'unused'
     if config.scale.method == 'depth_topic':
         return 'optional'
     relative = output == 'relative_disparity'

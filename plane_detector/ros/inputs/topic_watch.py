@@ -15,6 +15,8 @@ from typing import Any, NamedTuple
 from rclpy.node import Node
 from rclpy.qos import ReliabilityPolicy
 
+from plane_detector.ros.inputs.depth_decoding import COMPRESSED_DEPTH
+
 # derived: discovery takes about a second on a busy machine; silence before that means nothing.
 GRACE_S = 2.0
 # derived: a topic has stopped after this many of its usual intervals, which allows for slow
@@ -24,6 +26,10 @@ _FIRST_INTERVAL_S = 5.0
 _REMEMBERED = 6
 _LISTED = 8
 COMPRESSED = '/compressed'
+_RAW_TYPE, _COMPRESSED_TYPE = 'sensor_msgs/msg/Image', 'sensor_msgs/msg/CompressedImage'
+# By role: the parameter of the transport, and its value for compressed messages.
+_TRANSPORTS = {'image': ('image_transport', 'compressed'),
+               'depth': ('depth.transport', 'compressedDepth')}
 MESSAGES_LOST = 'messages get lost between processes without config/fastdds_large_messages.xml'
 
 
@@ -146,20 +152,28 @@ def explain_silence(role: str, topic: str, type_name: str, offered: Sequence[str
     """
     if offered:
         return (f'{topic} is published as {offered[0]}, not as {type_name}'
-                + _transport_hint(topic, offered[0]))
-    fitting = [name for name in published if _fits(role, name)]
-    same = _nearest_first(topic, [name for name in fitting if published[name] == type_name])
+                + _transport_hint(role, topic, offered[0]))
+    same = _nearest_first(topic, [name for name, kind in published.items()
+                                  if kind == type_name and _fits(role, name, kind)])
     if not same:
         return (f'nobody publishes {topic}, nor any other topic of type {type_name} for {role}'
-                + _other_transport(topic, type_name, {name: published[name] for name in fitting}))
+                + _other_transport(role, topic, type_name, published))
     listed = ', '.join(same[:_LISTED]) + (', ...' if len(same) > _LISTED else '')
     return (f'nobody publishes {topic}; of type {type_name} there are {listed}: remap with '
-            f'--ros-args -r {role}:={same[0].removesuffix(COMPRESSED)}')
+            f'--ros-args -r {role}:={_without_transport(same[0])}')
 
 
-def _fits(role: str, name: str) -> bool:
+def _fits(role: str, name: str, kind: str) -> bool:
     """Return whether a topic may serve by its name: depth has depth in its name, nothing else."""
-    return role not in ('image', 'depth') or ('depth' in name.lower()) == (role == 'depth')
+    if role not in _TRANSPORTS:
+        return True
+    is_depth = 'depth' in name.lower()
+    suffix_fits = role == 'image' or kind != _COMPRESSED_TYPE or name.endswith(COMPRESSED_DEPTH)
+    return is_depth == (role == 'depth') and suffix_fits
+
+
+def _without_transport(name: str) -> str:
+    return name.removesuffix(COMPRESSED).removesuffix(COMPRESSED_DEPTH)
 
 
 def _nearest_first(topic: str, names: Collection[str]) -> list[str]:
@@ -168,23 +182,26 @@ def _nearest_first(topic: str, names: Collection[str]) -> list[str]:
         -difflib.SequenceMatcher(None, topic, name).ratio(), name))
 
 
-def _transport_hint(topic: str, offered: str) -> str:
-    if offered.endswith('/CompressedImage'):
-        return (f': set image_transport to compressed and remap image to '
-                f'{topic.removesuffix(COMPRESSED)}')
-    return ': set image_transport to raw' if offered.endswith('/Image') else ''
-
-
-def _other_transport(topic: str, type_name: str, published: Mapping[str, str]) -> str:
-    """Return the parameter that accepts the published images, if they use the other transport."""
-    other = {'sensor_msgs/msg/Image': ('CompressedImage', 'compressed'),
-             'sensor_msgs/msg/CompressedImage': ('Image', 'raw')}.get(type_name)
-    if other is None:
+def _transport_hint(role: str, topic: str, offered: str) -> str:
+    """Return the setting that accepts the type that a topic has."""
+    if role not in _TRANSPORTS or offered not in (_RAW_TYPE, _COMPRESSED_TYPE):
         return ''
+    parameter, compressed = _TRANSPORTS[role]
+    if offered == _COMPRESSED_TYPE:
+        return f': set {parameter} to {compressed} and remap {role} to {_without_transport(topic)}'
+    return f': set {parameter} to raw'
+
+
+def _other_transport(role: str, topic: str, type_name: str, published: Mapping[str, str]) -> str:
+    """Return the setting that accepts the published images, if they use the other transport."""
+    other = {_RAW_TYPE: _COMPRESSED_TYPE, _COMPRESSED_TYPE: _RAW_TYPE}.get(type_name, '')
     names = _nearest_first(topic, [name for name, kind in published.items()
-                                   if kind.endswith(f'/{other[0]}')])
-    return (f'; {names[0]} is a sensor_msgs/msg/{other[0]}: set image_transport to {other[1]}'
-            if names else '')
+                                   if kind == other and _fits(role, name, kind)])
+    if role not in _TRANSPORTS or not names:
+        return ''
+    parameter, compressed = _TRANSPORTS[role]
+    value = compressed if other == _COMPRESSED_TYPE else 'raw'
+    return f'; {names[0]} is a {other}: set {parameter} to {value}'
 
 
 def _interval_s(heard_s: Sequence[float]) -> float:

@@ -48,6 +48,15 @@ def test_auto_rectifies_a_distorted_image(model):
     assert (image.rgb != RGB).any()
 
 
+@pytest.mark.parametrize('name', ['fisheye', 'kannala_brandt4'])
+def test_models_under_other_names(name):
+    image = convert(frame(DISTORTION['equidistant'], name))
+    expected = convert(frame(DISTORTION['equidistant'], 'equidistant'))
+    np.testing.assert_array_equal(image.rgb, expected.rgb)
+    left = convert(frame(DISTORTION['equidistant'], name), rectify='false')
+    assert left.distortion.model == 'equidistant', 'as consumers of ~/camera_info know it'
+
+
 @pytest.mark.parametrize('d', [(), (0.0,) * 5])
 def test_auto_leaves_an_image_without_distortion(d):
     image = convert(frame(d))

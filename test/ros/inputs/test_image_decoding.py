@@ -13,7 +13,6 @@ from plane_detector.ros.inputs import image_decoding
 from plane_detector.ros.inputs.image_decoding import (
     MOST_SCANS,
     compressed_size,
-    depth_from_msg,
     rgb_from_compressed_msg,
     rgb_from_msg,
 )
@@ -41,6 +40,11 @@ def test_mono16_keeps_the_high_byte(big_endian):
     grey = np.array([[0x1234, 0xFF00], [0x00FF, 0x8001]], np.uint16)
     decoded = rgb_from_msg(image_msg(grey, 'mono16', padding=2, big_endian=big_endian))
     np.testing.assert_array_equal(decoded[..., 1], [[0x12, 0xFF], [0x00, 0x80]])
+
+
+def test_8uc1_is_grey():
+    grey = np.array([[1, 2], [200, 255]], np.uint8)
+    np.testing.assert_array_equal(rgb_from_msg(image_msg(grey, '8UC1'))[..., 2], grey)
 
 
 @pytest.mark.parametrize('encoding, luma', [('yuv422', 1), ('uyvy', 1), ('yuv422_yuy2', 0),
@@ -104,28 +108,6 @@ def bad_images():
 def test_bad_images_are_refused_with_the_reason(msg, reason):
     with pytest.raises(ValueError, match=reason):
         rgb_from_msg(msg)
-
-
-@pytest.mark.parametrize('big_endian', [False, True])
-def test_depth_in_metres(big_endian):
-    depth_m = np.array([[1.5, np.nan, np.inf], [0.0, -1.0, 70.0]], np.float32)
-    decoded = depth_from_msg(image_msg(depth_m, '32FC1', padding=4, big_endian=big_endian))
-    np.testing.assert_array_equal(decoded, [[1.5, np.nan, np.nan], [np.nan, np.nan, 70.0]])
-    assert decoded.dtype == np.float32
-    assert decoded.dtype.isnative
-
-
-@pytest.mark.parametrize('big_endian', [False, True])
-@pytest.mark.parametrize('encoding', ['16UC1', 'mono16'])
-def test_depth_in_millimetres(encoding, big_endian):
-    depth_mm = np.array([[1500, 0], [65535, 1]], np.uint16)
-    decoded = depth_from_msg(image_msg(depth_mm, encoding, padding=2, big_endian=big_endian))
-    np.testing.assert_allclose(decoded, [[1.5, np.nan], [65.535, 0.001]], rtol=1e-6)
-
-
-def test_depth_of_another_encoding_is_refused():
-    with pytest.raises(ValueError, match='8UC1'):
-        depth_from_msg(image_msg(np.zeros((2, 2), np.uint8), '8UC1'))
 
 
 SIZE = (18, 16)
