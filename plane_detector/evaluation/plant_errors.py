@@ -147,8 +147,17 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
         ('(s * second + planes[a, 3]) * planes[a, 4]',
          's * second + planes[b, 3]', 'the offset of the other plane')),
     'ros/inputs/image_decoding.py': (
-        ('np.float32(0.001)', 'np.float32(0.01)', 'centimetres for millimetres'),
-        (">' if msg.is_bigendian else '<", "<' if msg.is_bigendian else '>", 'byte order')),
+        (">' if msg.is_bigendian else '<", "<' if msg.is_bigendian else '>", 'byte order'),),
+    'ros/inputs/depth_decoding.py': (
+        ("'16uc1': ('u2', 0.001)", "'16uc1': ('u2', 0.01)", 'centimetres for millimetres'),
+        ('counts - np.float32(shift)',
+         'counts + np.float32(shift)', 'sign of the shift of inverse depth'),
+        ('x_m / z_m - ray_x', 'x_m / z_m + ray_x', 'mirrored rays of a cloud'),
+        ('(msg.row_step, msg.point_step))',
+         '(msg.width * msg.point_step, msg.point_step))', 'rows of a cloud without their ends')),
+    'ros/inputs/rvl.py': (
+        ('-(changes & 1)', '(changes & 1)', 'sign of a change of depth'),
+        ('np.arange(28, -1, -4', 'np.arange(0, 32, 4', 'nibbles from the lower end')),
     'ros/calibration.py': (
         ('msg.roi.x_offset', 'msg.roi.y_offset', 'swapped offsets of a cut image'),
         ('[1] /= binning[1]', '[1] /= binning[0]', 'binning of the other axis')),

@@ -77,6 +77,26 @@ def depth_from_msg(msg: Image | CompressedImage | PointCloud2, most_pixels: int,
     return limited_depth(numbers if factor == 1 else numbers * factor)
 
 
+def is_compressed_depth(msg: CompressedImage) -> bool:
+    """Return whether a compressed image is depth, by its format."""
+    return 'compresseddepth' in msg.format.lower()
+
+
+def depth_size(msg: Image | CompressedImage | PointCloud2) -> tuple[int, int]:
+    """Return width and height of a depth message, 0 if it is damaged, without decoding it."""
+    if not isinstance(msg, CompressedImage):
+        return msg.width, msg.height
+    payload = bytes(msg.data)[_HEADER.size:]
+    try:
+        return (_SIZE.unpack_from(payload) if _is_rvl(msg) else compressed_size(payload))
+    except (ValueError, struct.error):
+        return 0, 0
+
+
+def _is_rvl(msg: CompressedImage) -> bool:
+    return 'rvl' in msg.format.lower()
+
+
 def _decompressed(msg: CompressedImage, number_type: str, most_pixels: int) -> np.ndarray:
     """Return the numbers of a compressedDepth message."""
     data = bytes(msg.data)
@@ -84,7 +104,7 @@ def _decompressed(msg: CompressedImage, number_type: str, most_pixels: int) -> n
         raise ValueError(f'the compressedDepth message has only {len(data)} bytes')
     _, factor, shift = _HEADER.unpack_from(data)
     payload = data[_HEADER.size:]
-    if 'rvl' in msg.format.lower():
+    if _is_rvl(msg):
         width, height = _SIZE.unpack_from(payload)
         _check_size(width, height, most_pixels)
         counts = decode_rvl(payload[_SIZE.size:], width * height).reshape(height, width)

@@ -108,7 +108,7 @@ def _options(arguments: argparse.Namespace, source: Path, target: Path) -> Repla
                                      NodeConfig(points_color='overlay'))  # as a viewer shows it
     named = {text.partition(':=')[0] for text in [*by_depth, *arguments.parameter]}
     depth_by_bag = (named.isdisjoint({'depth.source', 'depth.model'})
-                    and config.depth.source == 'model' and config.scale.method != 'depth_topic')
+                    and not config.depth.is_measured and config.scale.method != 'depth_topic')
     return ReplayOptions(
         source=source, target=target, config=config, settings=settings,
         topics={role: name for role in TOPICS if (name := getattr(arguments, role))},

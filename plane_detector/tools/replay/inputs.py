@@ -12,22 +12,28 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import astuple, dataclass, replace
 from typing import Any
 
-from sensor_msgs.msg import CameraInfo, CompressedImage, Image, Imu
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image, Imu, PointCloud2
 
 from plane_detector.config import Config, NodeConfig
+from plane_detector.geometry.gravity import is_identity
 from plane_detector.ros.calibration import image_size
-from plane_detector.ros.inputs.synchronizer import Frame, FrameSynchronizer, depth_use, ns_of
+from plane_detector.ros.inputs.depth_decoding import (
+    COMPRESSED_DEPTH,
+    DEPTH_ENCODINGS,
+    depth_size,
+    is_compressed_depth,
+)
+from plane_detector.ros.inputs.synchronizer import Frame, FrameSynchronizer, ns_of
 from plane_detector.ros.inputs.transforms import FrameTransforms, TransformBuffer
 from plane_detector.tools.replay.bag_reader import BagError, BagReader, Recorded, Topic, to_message
 from plane_detector.tools.replay.options import ReplayOptions
 from plane_detector.tools.replay.writer import BagWriter
 
-_CLASSES = {'sensor_msgs/msg/Image': Image, 'sensor_msgs/msg/CompressedImage': CompressedImage,
-            'sensor_msgs/msg/CameraInfo': CameraInfo, 'sensor_msgs/msg/Imu': Imu}
-_ROLES = {'image': (Image, CompressedImage), 'camera_info': (CameraInfo,), 'depth': (Image,),
-          'imu': (Imu,)}
-_DEPTH_ENCODINGS = ('16uc1', '32fc1')
-_GREY_ENCODINGS = ('mono8', 'mono16')
+_CLASSES = {f'sensor_msgs/msg/{kind.__name__}': kind
+            for kind in (Image, CompressedImage, CameraInfo, Imu, PointCloud2)}
+_ROLES = {'image': (Image, CompressedImage), 'camera_info': (CameraInfo,),
+          'depth': (Image, CompressedImage, PointCloud2), 'imu': (Imu,)}
+_GREY_ENCODINGS = ('mono8', 'mono16', '8uc1')
 _RECTIFIED_WORD = 'rect'
 _TRANSFORM_TYPES = ('tf2_msgs/msg/TFMessage', 'tf/msg/tfMessage')
 # derived: an image waits for its partners while at most 16 others do, see FrameSynchronizer.
@@ -36,7 +42,7 @@ _WAITING = 3 * 64
 
 @dataclass(frozen=True)
 class InputTopics:
-    """Names of the input topics; empty if not used."""
+    """Names of the input topics; empty if not used. Without colour, depth is the image."""
 
     image: str
     camera_info: str
@@ -49,16 +55,38 @@ class InputTopics:
         return tuple(filter(None, astuple(self)))
 
 
+@dataclass(frozen=True)
+class Inputs:
+    """The topics of a replay, its settings with the source of depth, and why this source."""
+
+    topics: InputTopics
+    config: Config
+    why: str
+
+    def describe(self, facts: Mapping[str, str]) -> str:
+        """Return one line with the source of depth, by the facts of a detector, and the reason."""
+        if self.config.depth.is_measured:
+            return f'measured: {self.why}'
+        reason = facts.get('depth_model_reason', '')
+        return f'network {facts["depth_model"]}{f" ({reason})" if reason else ""}, {self.why}'
+
+
 def input_class(bag: BagReader, topic: str) -> Any:
     """Return the class of an input topic's messages."""
     return _CLASSES[bag.connection(topic).msgtype]
 
 
-def find_camera(bag: BagReader, wanted: Mapping[str, str]) -> InputTopics:
+def choose_inputs(bag: BagReader, options: ReplayOptions) -> Inputs:
     """
-    Choose image and calibration, by default among all images, and the calibration beside it.
+    Choose the topics of a bag, the source of depth, and its settings.
 
-    The requested topics are those of ``image``, ``camera_info``, ``depth`` and ``imu``.
+    1. The image is the one requested, or else the best colour image. Where there is none, or with
+       ``depth.colour: none``, each depth image is a frame.
+    2. The calibration is the one requested, or beside the image, or the only one.
+    3. Measured depth is used if it is requested, or has frame_id and size of the image, so that it
+       needs no transform, and no other source was requested.
+    4. The depth topic is the one requested, or the only one with the frame_id of the image.
+    5. The IMU is the one requested, or the only one, with ``use_imu``.
 
     Raises
     ------
@@ -66,90 +94,72 @@ def find_camera(bag: BagReader, wanted: Mapping[str, str]) -> InputTopics:
         A topic is missing, has another type, or several fit; the message lists the topics.
 
     """
-    for role, name in wanted.items():
+    for role, name in options.topics.items():
         _check(bag, role, name)
-    image = wanted.get('image') or _find_image(bag)
-    beside = _calibrations(bag, image)
-    return InputTopics(image, wanted.get('camera_info') or (
-        beside[0] if beside else _only(bag, 'camera_info', _of_role(bag, 'camera_info'))))
+    config, requested = options.config, options.topics
+    imu = '' if not options.settings.use_imu else (
+        requested.get('imu') or _only(bag, 'imu', _of_role(bag, 'imu')))
+    images, depths = _colour_images(bag), _depth_topics(bag, config.depth.source)
+    without_colour = options.depth_by_bag and depths and not images and 'image' not in requested
+    if config.depth.colour == 'none' or without_colour:
+        depth = requested.get('depth') or _only(bag, 'depth', depths)
+        topics = InputTopics(depth, _calibration(bag, depth, requested), '', imu)
+        return Inputs(topics, _measured(bag, config, depth, 'none'),
+                      f'{_described(bag, depth)}, without a colour image')
+    image = requested.get('image') or _best_image(bag, images)
+    topics = InputTopics(image, _calibration(bag, image, requested), '', imu)
+    depths = [topic for topic in depths if topic.name != image]
+    why = 'as requested'
+    if options.depth_by_bag:
+        depth, why = _registered(bag, topics, depths)
+        if depth:
+            return Inputs(replace(topics, depth=depth), _measured(bag, config, depth, 'image'),
+                          why)
+    elif config.depth.is_measured:
+        why = f'{requested.get("depth", "the depth topic")}, as requested'
+    else:
+        why = 'not measured depth, as requested'
+    frame_id = _first(bag, image).header.frame_id
+    same_frame = [topic for topic in depths if _first(bag, topic.name).header.frame_id == frame_id]
+    depth = requested.get('depth', '')
+    is_needed = config.depth.is_measured or config.scale.method == 'depth_topic'
+    if not depth and (is_needed or len(same_frame) == 1):  # one may fix the scale of a network
+        depth = _only(bag, 'depth', same_frame)
+    if depth and config.depth.is_measured:
+        config = _measured(bag, config, depth, 'image')
+    return Inputs(replace(topics, depth=depth), config, why)
 
 
-@dataclass(frozen=True)
-class DepthChoice:
-    """Settings with the source of depth, its topic if one was found in the bag, and why."""
-
-    config: Config
-    topic: str
-    why: str
-
-    def describe(self, facts: Mapping[str, str]) -> str:
-        """Return one line with the source, by the facts of a detector, and the reason."""
-        if self.config.depth.source == 'topic':
-            return f'measured: {self.why}'
-        reason = facts.get('depth_model_reason', '')
-        return f'network {facts["depth_model"]}{f" ({reason})" if reason else ""}, {self.why}'
-
-
-def choose_depth(bag: BagReader, camera: InputTopics, options: ReplayOptions) -> DepthChoice:
-    """
-    Return measured depth if the bag has it for this image, unless another source is requested.
-
-    Measured depth needs no transform if it has the frame_id and the size of the image.
-
-    Raises
-    ------
-    BagError
-        Several depth topics fit.
-
-    """
-    config = options.config
-    if not options.depth_by_bag:
-        what = (options.topics.get('depth', 'the depth topic') if config.depth.source == 'topic'
-                else 'not measured depth')
-        return DepthChoice(config, '', f'{what}, as requested')
+def _registered(bag: BagReader, camera: InputTopics, depths: Sequence[Topic]) -> tuple[str, str]:
+    """Return the depth topic that is registered to the image, or '', and the reason."""
     frame_id, size = _first(bag, camera.image).header.frame_id, _size_of(bag, camera)
-    others, fitting = [], []
-    for topic in _depth_images(bag, camera.image):
-        depth = _first(bag, topic.name)
-        what = (f'{topic.name} ({depth.width} x {depth.height}, {depth.encoding}, frame_id '
-                f'{depth.header.frame_id!r})')
-        fits = depth.header.frame_id == frame_id and (depth.width, depth.height) == size
-        (fitting if fits else others).append((topic, what))
+    fitting = [topic for topic in depths
+               if _first(bag, topic.name).header.frame_id == frame_id
+               and depth_size(_first(bag, topic.name)) == size]
     if fitting:
-        name = _only(bag, 'depth', [topic for topic, _ in fitting])
-        return DepthChoice(replace(config, depth=replace(config.depth, source='topic')), name,
-                           f'{fitting[0][1]}, registered to the image')
-    why = (f'{", ".join(what for _, what in others)} is not registered to the image '
-           f'({size[0]} x {size[1]}, frame_id {frame_id!r})' if others
-           else 'the bag has no depth images')
-    return DepthChoice(config, '', f'because {why}')
+        name = _only(bag, 'depth', fitting)
+        return name, f'{_described(bag, name)}, registered to the image'
+    if not depths:
+        return '', 'because the bag has no depth images'
+    named = ', '.join(_described(bag, topic.name) for topic in depths)
+    return '', (f'because {named} is not registered to the image ({size[0]} x {size[1]}, frame_id '
+                f'{frame_id!r})')
 
 
-def with_companions(bag: BagReader, camera: InputTopics, choice: DepthChoice, output: str,
-                    options: ReplayOptions) -> InputTopics:
-    """
-    Add the topics of depth and IMU, if they are used.
+def _described(bag: BagReader, depth: str) -> str:
+    """Return a depth topic with what tells whether it is registered."""
+    msg = _first(bag, depth)
+    width, height = depth_size(msg)
+    kind = getattr(msg, 'encoding', getattr(msg, 'format', 'points'))
+    return f'{depth} ({width} x {height}, {kind}, frame_id {msg.header.frame_id!r})'
 
-    Depth is the requested or the chosen topic; else it is found among the images with the frame_id
-    of the image, because others are not registered to it. ``output`` is the kind of depth that the
-    network returns, see :func:`depth_use`.
 
-    Raises
-    ------
-    BagError
-        A required topic is missing, or several fit; the message lists the topics.
-
-    """
-    use, depth, imu = depth_use(choice.config, output), '', ''
-    if use != 'unused':
-        frame_id = _first(bag, camera.image).header.frame_id
-        registered = [topic for topic in _depth_images(bag, camera.image)
-                      if _first(bag, topic.name).header.frame_id == frame_id]
-        depth = options.topics.get('depth') or choice.topic or (
-            _only(bag, 'depth', registered) if registered or use == 'required' else '')
-    if options.settings.use_imu:
-        imu = options.topics.get('imu') or _only(bag, 'imu', _of_role(bag, 'imu'))
-    return replace(camera, depth=depth, imu=imu)
+def _measured(bag: BagReader, config: Config, depth: str, colour: str) -> Config:
+    """Return the settings with this topic as source of depth."""
+    kind = input_class(bag, depth)
+    return replace(config, depth=replace(
+        config.depth, source='points' if kind is PointCloud2 else 'topic', colour=colour,
+        transport='compressedDepth' if kind is CompressedImage else 'raw'))
 
 
 def _check(bag: BagReader, role: str, name: str) -> None:
@@ -173,12 +183,33 @@ def _of_role(bag: BagReader, role: str) -> list[Topic]:
             and _first(bag, topic.name) is not None]
 
 
-def _find_image(bag: BagReader) -> str:
+def _colour_images(bag: BagReader) -> list[Topic]:
+    return [topic for topic in _of_role(bag, 'image')
+            if not topic.name.endswith('/theora') and not _is_depth(_first(bag, topic.name))]
+
+
+def _depth_topics(bag: BagReader, source: str) -> list[Topic]:
+    """Return the topics of depth images, of each not both transports, or of organised clouds."""
+    if source == 'points':
+        return [topic for topic in _of_role(bag, 'depth')
+                if getattr(_first(bag, topic.name), 'height', 1) > 1
+                and input_class(bag, topic.name) is PointCloud2]
+    found = [topic for topic in _of_role(bag, 'image') if _is_depth(_first(bag, topic.name))]
+    raw = {topic.name for topic in found}
+    return [topic for topic in found
+            if not topic.name.endswith(COMPRESSED_DEPTH)
+            or topic.name.removesuffix(COMPRESSED_DEPTH) not in raw]
+
+
+def _is_depth(msg: Image | CompressedImage) -> bool:
+    if isinstance(msg, CompressedImage):
+        return is_compressed_depth(msg)
+    return msg.encoding.lower() in DEPTH_ENCODINGS
+
+
+def _best_image(bag: BagReader, candidates: Sequence[Topic]) -> str:
     """Return the best topic: colour, then rectified, then raw; raise if several are equal."""
-    candidates = [topic for topic in _of_role(bag, 'image')
-                  if not topic.name.endswith(('/compressedDepth', '/theora'))
-                  and _encoding(bag, topic) not in _DEPTH_ENCODINGS]
-    preferences = (lambda topic: _calibrations(bag, topic.name) != [],
+    preferences = (lambda topic: _beside(bag, topic.name) != [],
                    lambda topic: _encoding(bag, topic) not in _GREY_ENCODINGS,
                    lambda topic: _RECTIFIED_WORD in topic.name,
                    lambda topic: topic.msg_type == 'sensor_msgs/msg/Image')
@@ -187,16 +218,18 @@ def _find_image(bag: BagReader) -> str:
     return _only(bag, 'image', candidates)
 
 
-def _calibrations(bag: BagReader, image: str) -> list[str]:
+def _calibration(bag: BagReader, image: str, requested: Mapping[str, str]) -> str:
+    """Return the CameraInfo topic that is requested, beside the image, or the only one."""
+    beside = _beside(bag, image)
+    return requested.get('camera_info') or (
+        beside[0] if beside else _only(bag, 'camera_info', _of_role(bag, 'camera_info')))
+
+
+def _beside(bag: BagReader, image: str) -> list[str]:
     """Return the CameraInfo topics in the namespace of an image topic or its raw form."""
     names = [topic.name for topic in _of_role(bag, 'camera_info')]
     folders = [image.rsplit('/', depth)[0] for depth in (1, 2) if image.count('/') >= depth]
     return [f'{folder}/camera_info' for folder in folders if f'{folder}/camera_info' in names]
-
-
-def _depth_images(bag: BagReader, image: str) -> list[Topic]:
-    return [topic for topic in _of_role(bag, 'depth')
-            if topic.name != image and _encoding(bag, topic) in _DEPTH_ENCODINGS]
 
 
 def _size_of(bag: BagReader, camera: InputTopics) -> tuple[int, int]:
@@ -228,6 +261,18 @@ def _encoding(bag: BagReader, topic: Topic) -> str:
 
 def _first(bag: BagReader, topic: str) -> Any:
     return bag.first(topic, input_class(bag, topic))
+
+
+def imu_to_camera(bag: BagReader, inputs: Inputs, transforms: FrameTransforms | None
+                  ) -> tuple[float, ...]:
+    """Return the mounting of the IMU: that of the settings, or of TF where that is no turn."""
+    set_by_user, topics = inputs.config.scale.imu_to_camera, inputs.topics
+    if not topics.imu or not is_identity(set_by_user) or transforms is None:
+        return set_by_user
+    imu, camera = _first(bag, topics.imu).header, _first(bag, topics.image).header
+    if imu.frame_id in ('', camera.frame_id):
+        return set_by_user
+    return transforms.rotation(imu.frame_id, camera) or set_by_user
 
 
 def requested_times(bag: BagReader, image: str, options: ReplayOptions) -> tuple[int, int]:
@@ -303,16 +348,19 @@ def read_frames(bag: BagReader, topics: InputTopics, times_ns: tuple[int, int],
 
 def read_transforms(bag: BagReader, settings: NodeConfig) -> FrameTransforms | None:
     """
-    Return all transforms of a bag; None if the settings name no frame.
+    Return all transforms of a bag; None if the settings need none.
 
     All are read before the first image, because they may be recorded after the image they precede.
     Damaged messages and invalid transforms are skipped and counted in ``bag.damaged``. BagError is
-    raised if there are none.
+    raised if there are none but the settings name a frame; an IMU may do without.
     """
-    if not (settings.base_frame or settings.target_frame):
+    is_required = settings.base_frame or settings.target_frame
+    if not (is_required or settings.use_imu):
         return None
     topics = [topic.name for topic in bag.topics
               if topic.msg_type in _TRANSFORM_TYPES and topic.count]
+    if not topics and not is_required:
+        return None
     if not topics:
         raise BagError('base_frame and target_frame need transforms, tf2_msgs/msg/TFMessage on '
                        f'/tf and /tf_static. {bag.describe()}')

@@ -10,7 +10,7 @@ import threading
 import time
 from collections import Counter, defaultdict
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -32,12 +32,11 @@ from plane_detector.tools.replay.bag_reader import BagError, BagReader
 from plane_detector.tools.replay.inputs import (
     CopiedMessages,
     InputTopics,
-    choose_depth,
-    find_camera,
+    choose_inputs,
+    imu_to_camera,
     read_frames,
     read_transforms,
     requested_times,
-    with_companions,
 )
 from plane_detector.tools.replay.options import NODE_NAME, ReplayOptions
 from plane_detector.tools.replay.writer import BagWriter, Draft, ReplayFiles
@@ -141,7 +140,7 @@ def _counted(texts: Mapping[str, list[str]]) -> list[str]:
 
 def _scale_of(depth_source: str, detection: Detection) -> str:
     """Return the source of the unit of depth, with the note of the method."""
-    if depth_source == 'topic':
+    if depth_source != 'model':
         return 'metres, as measured'
     method, note = detection.scale_method, detection.scale_note
     if not note or note.startswith(method):
@@ -188,24 +187,30 @@ def replay(options: ReplayOptions, quiet: bool = False) -> Tally:
     with BagReader(options.source) as bag, Draft(options.target) as draft:
         if os.path.lexists(options.target):
             raise FileExistsError(f'{options.target} already exists: choose another name')
-        camera = find_camera(bag, options.topics)
-        times_ns = requested_times(bag, camera.image, options)
-        choice = choose_depth(bag, camera, options)
-        config = choice.config
-        network = (_network(config.depth, threading.get_ident())
-                   if config.depth.source == 'model' else None)
+        inputs = choose_inputs(bag, options)
+        config, topics = inputs.config, inputs.topics
+        times_ns = requested_times(bag, topics.image, options)
+        network = (None if config.depth.is_measured
+                   else _network(config.depth, threading.get_ident()))
+        transforms = read_transforms(bag, options.settings)
         processor = FrameProcessor(PlaneDetector(config, network), options.settings,
-                                   camera.image, read_transforms(bag, options.settings))
-        topics = with_companions(bag, camera, choice, processor.output, options)
-        tally = Tally(choice.describe(processor.detector.source.facts))
-        remedy = '; --network uses a network instead' if choice.topic else ''
+                                   topics.image, transforms)
+        use = depth_use(config, processor.output)
+        if use == 'unused':
+            topics = replace(topics, depth='')
+        synchronizer = FrameSynchronizer(use, options.settings.stamp_slop,
+                                         imu_to_camera(bag, inputs, transforms))
+        tally = Tally(inputs.describe(processor.detector.source.facts))
+        is_chosen = options.depth_by_bag and config.depth.is_measured
+        remedy = '; --network uses a network instead' if is_chosen else ''
         tell(f'Reading {", ".join(topics.names)} of {options.source}')
         tell(f'Depth: {tally.depth}{remedy}')
         load_kernels(config, tell)
         with ReplayFiles(options.figures, options.ply, options.table,
                          bool(config.shapes.wanted)) as files:
             with BagWriter(draft.path, options.storage, options.compressed) as writer:
-                _process(bag, topics, times_ns, processor, writer, files, options, tally, quiet)
+                _process(bag, topics, times_ns, synchronizer, processor, writer, files, options,
+                         tally, quiet)
                 writer.describe({**tally.to_fields(), 'replay.source': options.source.name,
                                  'replay.options': options.fingerprint})
             prefix = INTERRUPTED if tally.interrupted else ''
@@ -215,8 +220,8 @@ def replay(options: ReplayOptions, quiet: bool = False) -> Tally:
 
 
 def _process(bag: BagReader, topics: InputTopics, times_ns: tuple[int, int],
-             processor: FrameProcessor, writer: BagWriter, files: ReplayFiles,
-             options: ReplayOptions, tally: Tally, quiet: bool) -> None:
+             synchronizer: FrameSynchronizer, processor: FrameProcessor, writer: BagWriter,
+             files: ReplayFiles, options: ReplayOptions, tally: Tally, quiet: bool) -> None:
     """Process the frames, to the end of the bag or of what can be read, or to a stop."""
     config, facts = processor.detector.config, {'depth': tally.depth}
     copied = () if options.copied is None else options.copied or topics.names
@@ -225,8 +230,6 @@ def _process(bag: BagReader, topics: InputTopics, times_ns: tuple[int, int],
     writer.add_copies(bag, copied)
     copies = CopiedMessages(writer, copied, topics, options.every)
     wanted = dict.fromkeys((*options.outputs, *files.outputs))
-    synchronizer = FrameSynchronizer(depth_use(config, processor.output),
-                                     options.settings.stamp_slop, config.scale.imu_to_camera)
     frames = read_frames(bag, topics, times_ns, synchronizer, copies)
     progress = tqdm(total=_expected_frames(bag, topics.image, times_ns) // options.every,
                     unit='frame', disable=True if quiet else None)

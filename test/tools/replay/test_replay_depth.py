@@ -3,16 +3,20 @@
 """The depth that a replay uses, as reported in its output and in the new bag."""
 
 import array
+import shutil
 
 import cv2
 import numpy as np
 import pytest
 from bags import messages_of, write_bag
+from depth_messages import cloud_msg, compressed_depth_msg
 from diagnostic_msgs.msg import DiagnosticArray
 from onnx_models import millimetres_as_rgb, network_arguments, write_depth_network
-from replay_helpers import DEPTH, IMAGE, assert_true, camera_messages
+from replay_helpers import CAMERA, DEPTH, IMAGE, INFO, assert_true, camera_messages
 from ros_helpers import image_msg
 from sensor_msgs.msg import CompressedImage
+
+from plane_detector.geometry.projection import depth_to_points
 
 
 @pytest.fixture
@@ -102,3 +106,69 @@ def test_without_registered_depth_a_network_is_used_with_the_reason(
     assert told in text
     assert_true(target, scenes)
     assert told in facts_of(target)[0]['depth']
+
+
+def in_form(scenes, form, keep_raw=False, colour=True):
+    """Return the walk with depth as a driver sends it; the topic of that depth."""
+    name = {'points': '/cam/points'}.get(form, f'{DEPTH}/compressedDepth')
+    messages = []
+    for index, (topic, when, msg) in enumerate(camera_messages(scenes)):
+        depth_m = scenes[index // 3].depth_m
+        if topic == DEPTH:
+            other = (cloud_msg(depth_to_points(depth_m, CAMERA)) if form == 'points'
+                     else compressed_depth_msg(depth_m, kind=form))
+            other.header = msg.header
+            messages.append((name, when + 1, other))
+        if topic == INFO or topic == IMAGE and colour or topic == DEPTH and keep_raw:
+            messages.append((topic, when, msg))
+    return sorted(messages, key=lambda entry: entry[1]), name
+
+
+@pytest.mark.parametrize('colour', [True, False], ids=['colour', 'without colour'])
+@pytest.mark.parametrize('form', ['png', 'rvl'])
+def test_compressed_depth_is_measured_depth(tmp_path, scenes, replay, form, colour):
+    """No network is used although none was asked for: that one is weak."""
+    messages, name = in_form(scenes, form, colour=colour)
+    code, target, text = replay(write_bag(tmp_path / 'walk', messages), depth='')
+    assert code == 0, text
+    assert f'Depth: measured: {name} (160 x 120, 16UC1; compressedDepth {form}' in text
+    assert ('registered to the image' if colour else 'without a colour image') in text
+    assert_true(target, scenes)
+
+
+def test_of_two_transports_of_one_depth_the_raw_one_is_read(tmp_path, scenes, replay):
+    messages, _ = in_form(scenes, 'png', keep_raw=True)
+    code, _, text = replay(write_bag(tmp_path / 'walk', messages), depth='')
+    assert code == 0, text
+    assert f'Depth: measured: {DEPTH} (160 x 120, 32FC1' in text
+
+
+def test_a_topic_named_by_depth_may_be_of_any_form(tmp_path, scenes, replay):
+    for form in ('rvl', 'points'):
+        messages, name = in_form(scenes, form)
+        code, target, text = replay(write_bag(tmp_path / form, messages), depth=name)
+        assert code == 0, text
+        assert_true(target, scenes)
+        shutil.rmtree(target)
+
+
+def test_organised_clouds_are_depth_on_request(tmp_path, scenes, replay):
+    messages, name = in_form(scenes, 'points', colour=False)
+    code, target, text = replay(
+        write_bag(tmp_path / 'walk', messages), '-p', 'depth.source:=points', '-p',
+        'depth.colour:=none', depth='')
+    assert code == 0, text
+    assert f'Depth: measured: {name} (160 x 120, points' in text
+    assert_true(target, scenes)
+
+
+def test_depth_in_another_unit(tmp_path, scenes, replay):
+    messages = camera_messages(scenes)
+    for index, scene in enumerate(scenes):
+        msg = messages[3 * index + 2][2]
+        counts = np.nan_to_num(scene.depth_m / 0.00025).round().astype(np.uint16)
+        msg.encoding, msg.step, msg.data = '16UC1', 320, image_msg(counts, '16UC1').data
+    code, target, text = replay(write_bag(tmp_path / 'walk', messages), '-p',
+                                'depth.unit:=0.00025', depth='')
+    assert code == 0, text
+    assert_true(target, scenes)

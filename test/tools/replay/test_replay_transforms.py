@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from bags import messages_of, read_bag, write_bag
 from replay_helpers import camera_messages, planes_of, stamp_s, time_ns
-from ros_helpers import FRAME_ID, cloud_array
+from ros_helpers import FRAME_ID, cloud_array, header
 from rosbags.typesys import Stores, get_typestore
-from sensor_msgs.msg import PointCloud2
+from sensor_msgs.msg import Imu, PointCloud2
 
+from plane_detector.geometry.rigid_transform import RigidTransform
 from plane_detector.planes.classification import PlaneClass
 
 TYPES = get_typestore(Stores.ROS2_JAZZY).types
@@ -105,3 +106,26 @@ def test_an_ancestor_without_data_is_no_obstacle(tmp_path, scenes, replay):
     assert f'1 frames skipped: no transform from {FRAME_ID} to odom' in text.splitlines()[-1]
     assert len(planes_of(target)) == len(scenes) - 1
     assert len(read_bag(target)['/plane_detector/labels']) == len(scenes), 'in their own frame'
+
+
+def test_the_mounting_of_an_imu_comes_from_tf(tmp_path, scenes, replay):
+    """An IMU of x forward, y left and z up, as most are, beside a camera of z forward."""
+    floor = max(range(len(scenes[0].planes)), key=lambda k: -scenes[0].planes[k, 1])
+    turn = RigidTransform.from_quaternion((0.5, -0.5, 0.5, 0.5), np.zeros(3))
+    msg = tf_message(np.array([0.0, 1.0, 0.0]), time_ns(0))
+    (transform,) = msg.transforms
+    transform.header.frame_id, transform.child_frame_id = FRAME_ID, 'imu_link'
+    rotation = transform.transform.rotation
+    rotation.x, rotation.y, rotation.z, rotation.w = 0.5, -0.5, 0.5, 0.5
+    imu = Imu(header=header(stamp_s(0)))
+    imu.header.frame_id = 'imu_link'
+    force = imu.linear_acceleration
+    force.x, force.y, force.z = (9.81 * turn.rotation.T @ scenes[0].planes[floor, :3]).tolist()
+    bag = write_bag(tmp_path / 'walk', [
+        ('/tf_static', time_ns(0), msg), ('/imu', time_ns(0), imu), *camera_messages(scenes[:1])])
+    code, target, text = replay(bag, '-p', 'use_imu:=true')
+    assert code == 0, text
+    table = cloud_array(planes_of(target)[0])[0]
+    assert PlaneClass.FLOOR in table['class']
+    assert table[table['class'] == PlaneClass.FLOOR]['normal_y'] == pytest.approx(
+        scenes[0].planes[floor, 1], abs=0.02)
