@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 
 import cv2
@@ -70,8 +71,8 @@ class Photograph:
 
 
 def library_images() -> list[Photograph]:
-    """Return the photographs included in scikit-learn and scikit-image, without a download."""
-    return [_motorcycle(), _temple()]
+    """Return the photographs in scikit-image and, if it is installed, in scikit-learn."""
+    return [_motorcycle(), *([_temple()] if find_spec('sklearn') else [])]
 
 
 def folder_images(folder: Path, lens: Lens) -> list[Photograph]:

@@ -69,6 +69,7 @@ def test_demo_runs_the_node_over_dds(tmp_path, images):
          str(tmp_path)], cwd=ROOT, capture_output=True, text=True, timeout=240)
     assert run.returncode == 0, run.stderr
     assert 'ms from the image to the planes' in run.stdout
+    assert run.stdout.startswith('With measured depth, as from a depth camera:')
     assert ' floor ' in run.stdout
     name = 'stereo_motorcycle_depth_topic'
     rgb = images['stereo_motorcycle'].rgb
@@ -98,6 +99,23 @@ def test_demo_is_quiet_when_it_is_ended(tmp_path):
         said = ''.join(process.communicate(timeout=120))
         assert process.returncode == 130, said
         assert 'Traceback' not in said
+
+
+def test_a_weak_network_is_called_that(monkeypatch, capsys):
+    demo = pytest.importorskip('plane_detector.tools.demo.__main__')
+    options = demo._parser().parse_args(['--model', 'fastdepth'])
+    for name, is_weak in (('fastdepth', True), ('depth_anything_v2_small', False)):
+        found = demo.NETWORKS[name], Path('n.onnx'), 'as named', None
+        monkeypatch.setattr(demo, 'resolve', lambda config, found=found: found)
+        assert demo._network(options) == {'depth.model': name}
+        printed = capsys.readouterr().out
+        assert printed.startswith('\nThrough a depth network: as named.')
+        assert ('Most planes below\n  are wrong' in printed) is is_weak
+
+
+def test_photographs_without_scikit_learn(monkeypatch, images):
+    monkeypatch.setitem(sys.modules, 'sklearn', None)
+    assert [one.name for one in library_images()] == ['stereo_motorcycle']
 
 
 @pytest.mark.parametrize(('arguments', 'reason'), [
