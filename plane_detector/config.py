@@ -345,8 +345,8 @@ class NodeConfig(Settings):
         'raw', 'raw: sensor_msgs/Image on image; compressed: sensor_msgs/CompressedImage on '
         'image/compressed', choices=('raw', 'compressed'))
     max_image_pixels: int = setting(
-        50_000_000, 'a compressed image of more pixels is refused before it is decoded', 'px', 1,
-        2**30, inner=True)
+        25_000_000, 'an image of more pixels is refused, a compressed one before it is decoded: '
+        'each million pixels takes about 50 MB', 'px', 1, 2**30)
     rectify: str = setting(
         'auto', 'undo the lens distortion of CameraInfo; auto: if there is any and the topic is '
         'not named as rectified', choices=('auto', 'true', 'false'))

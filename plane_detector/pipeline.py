@@ -26,7 +26,7 @@ from plane_detector.directions.finder import (
 )
 from plane_detector.directions.gravity_choice import NO_GRAVITY
 from plane_detector.geometry.disparity import to_disparity
-from plane_detector.geometry.projection import check_depth
+from plane_detector.geometry.projection import check_depth, check_image
 from plane_detector.ground.ground import find_ground
 from plane_detector.planes.normal_map import turned_by_normals
 from plane_detector.planes.patches import fill_patches
@@ -147,7 +147,8 @@ class PlaneDetector:
         Raises
         ------
         ValueError
-            Depth and intrinsics differ in size, or a required depth image is missing.
+            Image, depth or ``covered`` has another type or size than stated here, or a required
+            depth image is missing.
 
         """
         seen = self.estimate_depth(rgb, intrinsics, depth_m, covered, stamp_s)
@@ -163,6 +164,9 @@ class PlaneDetector:
         Another thread may run the next two stages for the images before, in order. They add their
         times to the ``timer`` of the observation.
         """
+        check_image(rgb, intrinsics)
+        if depth_m is not None:
+            check_depth(depth_m, intrinsics)
         timer = timer or StageTimer()
         if stamp_s < self._stamp_s - JUMP_S:
             self._epoch += 1

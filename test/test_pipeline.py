@@ -223,3 +223,20 @@ def test_impossible_settings_are_refused(changes, said):
 def test_meaningless_settings_are_refused(settings):
     with pytest.raises(ValueError, match=next(iter(settings))):
         ScaleConfig(**settings)
+
+
+@pytest.mark.parametrize('rgb, depth_m, said', [
+    (np.zeros((60, 80, 3), np.uint8), np.ones((120, 160), np.float32),
+     'the image is 80 x 60, the intrinsics are for 160 x 120'),
+    (np.zeros((120, 160), np.uint8), np.ones((120, 160), np.float32), 'must be .H, W, 3. uint8'),
+    (np.zeros((120, 160, 3)), np.ones((120, 160), np.float32), 'uint8, not .* float64'),
+    (np.zeros((120, 160, 3), np.uint8), np.full((120, 160), 2000, np.uint16),
+     'not 2-D uint16; uint16 millimetres: divide by 1000'),
+    (np.zeros((120, 160, 3), np.uint8), np.ones((60, 80), np.float32), 'depth is 80 x 60, the')])
+@pytest.mark.parametrize('source', ['topic', 'model'])
+def test_image_and_depth_of_another_size_or_type_are_refused(source, rgb, depth_m, said):
+    camera = CameraIntrinsics.from_field_of_view(160, 120, 60.0)
+    detector = PlaneDetector(Config(depth=DepthConfig(source=source)),
+                             None if source == 'topic' else lambda rgb: np.ones((120, 160)))
+    with pytest.raises(ValueError, match=said):
+        detector.detect(rgb, camera, depth_m)

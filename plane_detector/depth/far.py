@@ -23,6 +23,7 @@ from plane_detector.geometry.robust import dilated, touching
 FAR_DEVIATIONS = 3.0
 """A disparity below this many standard deviations does not determine a distance."""
 _SMALL_WIDTH_PX = 160
+_MOST_SMALL_HEIGHT_PX = 640  # chosen: 9:16 has 284; an image of 3 x 4000 would have 213000
 # For a reduced image with values of 0 to 255.
 _TEXTURE_WINDOW_PX, _MOST_TEXTURE = 5, 6.0
 _MIN_GREY, _MIN_BLUE_MINUS_RED = 110.0, 4.0
@@ -71,7 +72,8 @@ def find_sky(rgb: np.ndarray, disparity: np.ndarray) -> np.ndarray | None:
     Invalid pixels of the disparity (H, W), which are not finite, count as far.
     """
     height, width = rgb.shape[:2]
-    size = (_SMALL_WIDTH_PX, max(2, round(height * _SMALL_WIDTH_PX / width)))
+    small_height = round(height * _SMALL_WIDTH_PX / width)
+    size = _SMALL_WIDTH_PX, min(max(2, small_height), _MOST_SMALL_HEIGHT_PX)
     small = cv2.resize(rgb, size, interpolation=cv2.INTER_AREA).astype(np.float32)
     far = np.nan_to_num(cv2.resize(disparity, size, interpolation=cv2.INTER_NEAREST),
                         nan=0.0, posinf=0.0).astype(np.float32)

@@ -72,7 +72,7 @@ def detect_line_segments(rgb: np.ndarray, intrinsics: CameraIntrinsics,
     reduction = max(1.0, width / DETECTION_WIDTH_PX)
     grey = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)
     if reduction > 1.0:
-        size = round(width / reduction), round(height / reduction)
+        size = round(width / reduction), max(round(height / reduction), 1)
         grey = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
     found = cv2.createLineSegmentDetector().detect(grey)[0]
     ends_px = np.zeros((0, 2, 2)) if found is None else found.reshape(-1, 2, 2).astype(float)

@@ -191,6 +191,8 @@ def surface_normals(disparity: np.ndarray, intrinsics: CameraIntrinsics) -> np.n
     """
     step = max(1, intrinsics.width // CELLS_PER_ROW)
     size = intrinsics.width // step, intrinsics.height // step
+    if min(size) < 3:  # a normal needs a cell on each side
+        return np.zeros((0, 3))
     every = 1 if step % 8 else 2  # pixel of a row; half of them are enough in large cells
     thinned = disparity[:size[1] * step:every, :size[0] * step:every]
     total, share = (

@@ -27,6 +27,27 @@ def pixel_rays(intrinsics: CameraIntrinsics) -> tuple[np.ndarray, np.ndarray]:
     return ray_x.astype(np.float32), ray_y.astype(np.float32)
 
 
+def check_image(rgb: np.ndarray, intrinsics: CameraIntrinsics) -> None:
+    """
+    Check type and size of an image.
+
+    Raises
+    ------
+    ValueError
+        It is not (H, W, 3) uint8, or its size differs from the intrinsics.
+
+    Examples
+    --------
+    >>> check_image(np.zeros((2, 4, 3), np.uint8), CameraIntrinsics(2.0, 2.0, 1.5, 0.5, 4, 2))
+
+    """
+    if rgb.ndim != 3 or rgb.shape[2] != 3 or rgb.dtype != np.uint8:
+        raise ValueError(f'the image must be (H, W, 3) uint8, not {rgb.shape} {rgb.dtype}')
+    if rgb.shape[:2] != (intrinsics.height, intrinsics.width):
+        raise ValueError(f'the image is {rgb.shape[1]} x {rgb.shape[0]}, the intrinsics are for '
+                         f'{intrinsics.width} x {intrinsics.height}')
+
+
 def check_depth(depth_m: np.ndarray, intrinsics: CameraIntrinsics) -> None:
     """
     Check type and size of a depth image.
@@ -39,7 +60,7 @@ def check_depth(depth_m: np.ndarray, intrinsics: CameraIntrinsics) -> None:
     """
     if depth_m.ndim != 2 or depth_m.dtype.kind != 'f':
         raise ValueError('depth must be a 2-D floating point array in metres, not '
-                         f'{depth_m.ndim}-D {depth_m.dtype}')
+                         f'{depth_m.ndim}-D {depth_m.dtype}; uint16 millimetres: divide by 1000')
     if depth_m.shape != (intrinsics.height, intrinsics.width):
         raise ValueError(f'depth is {depth_m.shape[1]} x {depth_m.shape[0]}, the intrinsics are '
                          f'for {intrinsics.width} x {intrinsics.height}')

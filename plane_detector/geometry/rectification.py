@@ -25,7 +25,7 @@ class Rectification:
     map_x: np.ndarray  # (H, W) float32, column in the original image, in pixels
     map_y: np.ndarray  # the row
     # (H, W) float32, depth along the rectified optical axis divided by that along the original
-    # one; 1 if the camera is not rotated.
+    # one; (1, 1), 1, if the camera is not rotated.
     depth_factor: np.ndarray
 
     def __post_init__(self) -> None:
@@ -103,10 +103,13 @@ def make_rectification(model: str, distortion: np.ndarray, camera_matrix: np.nda
 def _depth_factor(rotation: np.ndarray, rectified_matrix: np.ndarray,
                   size: tuple[int, int]) -> np.ndarray:
     """Return 1 over the third component of R^T (x, y, 1), with the rectified ray (x, y, 1)."""
-    columns, rows = np.meshgrid(np.arange(size[0]), np.arange(size[1]))
-    pixels = np.stack([columns, rows, np.ones_like(rows)], axis=-1)
-    original_depth = pixels @ np.linalg.inv(rectified_matrix).T @ rotation[:, 2]
-    return (1 / original_depth).astype(np.float32)
+    of_column, of_row, constant = np.linalg.inv(rectified_matrix).T @ rotation[:, 2]
+    if of_column == of_row == 0:
+        return np.full((1, 1), 1 / constant, np.float32)
+    # Sums of single precision: an image of 8000 x 6000 would take 2 GB more.
+    rows = (of_row * np.arange(size[1]) + constant).astype(np.float32)
+    original_depth = np.add.outer(rows, (of_column * np.arange(size[0])).astype(np.float32))
+    return np.divide(1, original_depth, out=original_depth)
 
 
 @dataclass(frozen=True)

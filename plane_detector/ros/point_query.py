@@ -19,6 +19,7 @@ from plane_detector.ros.outputs.frame import DetectedFrame
 REACH_PX = 8
 # derived: more clicks than a user makes between two frames; limits the memory.
 _MOST_CLICKS = 16
+_LOG_PERIOD_S = 0.5  # chosen: users do not click faster, programs may
 
 
 class PointQuery:
@@ -57,7 +58,8 @@ class PointQuery:
             header, planes = result.target_header, result.planes
             (pose,) = messages.poses_to_msg(header, planes.picked([index])).poses
             self._publisher.publish(PoseStamped(header=header, pose=pose))
-            self._node.get_logger().info(f'clicked point: {describe_plane(result, index)}')
+            self._node.get_logger().info(f'clicked point: {describe_plane(result, index)}',
+                                         throttle_duration_sec=_LOG_PERIOD_S)
 
     def refuse_all(self) -> None:
         """Refuse the waiting clicks; called in the thread of the executor."""

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Depth beyond the range of a network, and clear sky, are not surfaces."""
 
+import cv2
 import numpy as np
 import pytest
 
@@ -53,6 +54,15 @@ def test_a_white_wall_is_not_sky(share):
     assert find_sky(rgb, np.where(np.arange(len(rgb))[:, None] < HORIZON, behind,
                                   disparity)) is None
     assert find_sky(np.full_like(rgb, 255), np.full_like(disparity, 0.5)) is None
+
+
+def test_the_reduced_image_of_a_narrow_one_is_not_large(monkeypatch):
+    """Else 3 x 4000 pixels would become 34 million."""
+    sizes, resize = [], cv2.resize
+    monkeypatch.setattr(cv2, 'resize', lambda image, size, **how: (
+        sizes.append(size), resize(image, size, **how))[1])
+    assert find_sky(np.full((4000, 3, 3), 90, np.uint8), np.ones((4000, 3), np.float32)) is None
+    assert max(width * height for width, height in sizes) < 500_000
 
 
 def test_a_disparity_within_its_noise_of_zero_determines_no_distance():

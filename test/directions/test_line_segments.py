@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from plane_detector.directions.line_segments import detect_line_segments, segments_from_pixels
+from plane_detector.directions.posterior import surface_normals
 from plane_detector.types import CameraIntrinsics
 
 CAMERA = CameraIntrinsics(500.0, 500.0, 319.5, 239.5, 640, 480)
@@ -67,3 +68,12 @@ def test_lines_along_the_border_of_the_covered_area_are_dropped():
     assert len(detect_line_segments(image, CAMERA, covered)) == 0
     cv2.rectangle(image, (250, 200), (400, 300), (40, 40, 40), -1)
     assert len(detect_line_segments(image, CAMERA, covered)) >= 4
+
+
+@pytest.mark.parametrize('width, height, normals', [
+    (4000, 3, 0), (5000, 10, 0), (3, 4000, 3998), (5, 2, 0)])
+def test_an_image_of_a_few_rows_or_columns_gives_no_error(width, height, normals):
+    camera = CameraIntrinsics(1000.0, 1000.0, width / 2, height / 2, width, height)
+    rgb = np.full((height, width, 3), 90, np.uint8)
+    assert len(detect_line_segments(rgb, camera)) == 0
+    assert len(surface_normals(np.ones((height, width), np.float32), camera)) == normals

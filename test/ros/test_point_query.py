@@ -68,6 +68,20 @@ def test_a_click_is_in_the_frame_of_the_image_or_of_the_outputs(labels):
         point_in_camera(in_map, click_at('odom', (7.0, 0.0, 1.0)))
 
 
+def test_answers_to_many_clicks_are_logged_at_intervals(robot):
+    room = small_room()
+    node = start(robot, lambda rgb: room.depth_m)
+    robot.listen(PoseStamped, '/plane_detector/clicked_plane', 'clicked')
+    row, column = np.argwhere(room.labels == 0)[len(np.argwhere(room.labels == 0)) // 2]
+    z_m = float(room.depth_m[row, column])
+    point_m = (float((column - CAMERA.cx) / CAMERA.fx * z_m),
+               float((row - CAMERA.cy) / CAMERA.fy * z_m), z_m)
+    node._query._clicks.extend([click_at(FRAME_ID, point_m)] * 10)
+    send(robot, room, 1.0)
+    assert len(robot.wait_for('clicked', 10)) == 10
+    assert robot.log().count('clicked point: plane') <= 3
+
+
 def test_a_click_is_answered_by_the_node_even_on_demand(robot):
     room = small_room()
     node = start(robot, lambda rgb: room.depth_m, mode='on_demand')

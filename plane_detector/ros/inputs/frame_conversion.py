@@ -34,6 +34,7 @@ _ASPECT_TOLERANCE = 0.02
 _SAME_SURFACE = 0.02
 # The colour of depth without an image.
 _GREY = 128
+_MOST_ENLARGED = 32  # chosen: twice that of 256 x 192 beside the 12 million pixels of a phone
 
 
 @dataclass(frozen=True)
@@ -150,6 +151,7 @@ def _decode(frame: Frame, most_pixels: int) -> np.ndarray:
     if isinstance(frame.image, CompressedImage):
         return encodings.rgb_from_compressed_msg(
             frame.image, image_size(frame.camera_info), most_pixels)
+    encodings.check_pixels((frame.image.width, frame.image.height), most_pixels)
     return encodings.rgb_from_msg(frame.image)
 
 
@@ -185,6 +187,10 @@ def _fit_depth(depth_m: np.ndarray, intrinsics: CameraIntrinsics) -> np.ndarray:
                          'to it')
     if size == (width, height):
         return depth_m
+    if size[0] > _MOST_ENLARGED * width:
+        raise ValueError(f'the depth image is {width} x {height}, over {_MOST_ENLARGED} times '
+                         f'smaller than the {size[0]} x {size[1]} image: reduce the image by '
+                         'max_side')
     nearest_m = cv2.resize(depth_m, size, interpolation=cv2.INTER_NEAREST_EXACT)
     smooth_m = 1 / cv2.resize(1 / depth_m, size, interpolation=cv2.INTER_LINEAR)
     is_surface = np.abs(smooth_m - nearest_m) <= _SAME_SURFACE * nearest_m

@@ -118,11 +118,17 @@ def rgb_from_compressed_msg(msg: CompressedImage, expected: tuple[int, int],
                          f'{error}') from error
     if any(expected) and size != expected:
         raise ValueError(wrong_size(size, expected))
-    if size[0] * size[1] > most_pixels:
-        raise ValueError(f'the compressed image is {size[0]} x {size[1]}, more than '
-                         f'{most_pixels} pixels')
+    check_pixels(size, most_pixels)
     bgr = decompressed(data, size, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
     return cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB)
+
+
+def check_pixels(size: tuple[int, int], most_pixels: int) -> None:
+    """Raise ValueError if an image of this width and height is too large."""
+    if size[0] * size[1] > most_pixels:
+        raise ValueError(f'the image is {size[0]} x {size[1]}, more than max_image_pixels, '
+                         f'{most_pixels}: reduce it in the driver, or raise max_image_pixels and, '
+                         'to save time, set max_side')
 
 
 def compressed_size(data: bytes) -> tuple[int, int]:

@@ -8,7 +8,11 @@ import pytest
 from ros_helpers import camera_info_msg, image_msg
 
 from plane_detector.config import NodeConfig
-from plane_detector.ros.inputs.frame_conversion import FrameConverter, is_rectified_name
+from plane_detector.ros.inputs.frame_conversion import (
+    FrameConverter,
+    _fit_depth,
+    is_rectified_name,
+)
 from plane_detector.ros.inputs.synchronizer import Frame
 from plane_detector.types import CameraIntrinsics
 
@@ -94,6 +98,28 @@ def test_a_cropped_and_binned_distorted_image_is_that_part_of_the_whole():
 def test_depth_with_the_same_view_is_resized_to_the_image(shape):
     image = convert(frame(depth=np.full(shape, 2.0, np.float32)))
     np.testing.assert_allclose(image.depth_m, np.full((60, 80), 2.0), rtol=1e-6)
+
+
+def test_a_plane_in_depth_of_another_size_stays_a_plane():
+    """The disparity of a plane is linear in the image, its depth is not."""
+    def plane_m(width, height):
+        column = (np.arange(width, dtype=np.float32) + 0.5) / width
+        return np.tile(1 / (0.2 + 0.5 * column), (height, 1))
+    image = convert(frame(depth=plane_m(40, 30)))
+    np.testing.assert_allclose(image.depth_m[:, 2:-2], plane_m(80, 60)[:, 2:-2], rtol=2e-5)
+
+
+def test_depth_that_says_next_to_nothing_of_the_image_is_refused():
+    with pytest.raises(ValueError, match='2 x 1, over 32 times smaller than the 80 x 40 image'):
+        _fit_depth(np.ones((1, 2), np.float32), CameraIntrinsics(60.0, 60.0, 39.5, 19.5, 80, 40))
+    phone = CameraIntrinsics(60.0, 60.0, 39.5, 19.5, 64, 48)
+    assert _fit_depth(np.ones((3, 4), np.float32), phone).shape == (48, 64)
+
+
+def test_an_image_of_too_many_pixels_is_refused_with_the_parameter():
+    with pytest.raises(ValueError, match='is 80 x 60, more than max_image_pixels, 4799: .*raise'):
+        FrameConverter('image_raw').convert(frame(), NodeConfig(max_image_pixels=4799))
+    assert FrameConverter('image_raw').convert(frame(), NodeConfig(max_image_pixels=4800))
 
 
 def test_depth_is_rectified_with_its_image():
