@@ -9,14 +9,14 @@ pixel does not move.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 
 from plane_detector.compilation import kernel
+from plane_detector.geometry.rigid_transform import RigidTransform
 from plane_detector.planes.region_samples import MIN_COSINE
 from plane_detector.types import CameraIntrinsics, Planes
 
@@ -39,6 +39,28 @@ class Rectangle:
     rotation: np.ndarray
     width_m: float  # at least the height
     height_m: float
+
+
+@dataclass(frozen=True, eq=False)
+class Rectangles(Sequence[Rectangle]):
+    """K rectangles as arrays; indexing and iteration give each."""
+
+    centres_m: np.ndarray  # (K, 3) float64
+    rotations: np.ndarray  # (K, 3, 3) float64
+    widths_m: np.ndarray  # (K,) float64
+    heights_m: np.ndarray  # (K,) float64
+
+    def __len__(self) -> int:
+        return len(self.widths_m)
+
+    def __getitem__(self, index: int) -> Rectangle:
+        return Rectangle(self.centres_m[index], self.rotations[index],
+                         float(self.widths_m[index]), float(self.heights_m[index]))
+
+    def moved(self, transform: RigidTransform) -> Rectangles:
+        """Return the rectangles in another frame."""
+        return replace(self, centres_m=transform.points(self.centres_m),
+                       rotations=transform.rotation @ self.rotations)
 
 
 def all_polygons(labels: np.ndarray, ends: np.ndarray, intrinsics: CameraIntrinsics,
@@ -92,21 +114,6 @@ def all_polygons(labels: np.ndarray, ends: np.ndarray, intrinsics: CameraIntrins
                  for of_plane in outlines)
 
 
-def hulls(ends: np.ndarray, intrinsics: CameraIntrinsics,
-          planes: Planes) -> list[np.ndarray]:
-    """
-    Return the corners (N, 3) of the convex hull of the pixels of each plane, with their borders.
-
-    Parameters
-    ----------
-    ends, intrinsics, planes
-        As for :func:`all_polygons`.
-
-    """
-    return _on_planes([_hull_px(of_plane) for of_plane in ends], planes,
-                      np.arange(len(planes)), intrinsics)
-
-
 def _on_planes(pixels: Sequence[np.ndarray], planes: Planes, of_plane: np.ndarray,
                intrinsics: CameraIntrinsics) -> list[np.ndarray]:
     """Return where the rays of pixels (N, 2), column and row, meet the plane of each, (N, 3)."""
@@ -125,30 +132,21 @@ def _on_planes(pixels: Sequence[np.ndarray], planes: Planes, of_plane: np.ndarra
     return np.split(points_m, np.cumsum(counts)[:-1])
 
 
-def enclosing_rectangle(corners_m: np.ndarray, normal: np.ndarray,
-                        centroid_m: np.ndarray) -> Rectangle:
+def enclosing_rectangles(ends: np.ndarray, intrinsics: CameraIntrinsics,
+                         planes: Planes) -> Rectangles:
     """
-    Return the smallest rectangle around points on a plane.
+    Return the smallest rectangle around the pixels of each plane, with their borders.
 
     Parameters
     ----------
-    corners_m : (N, 3) float64
-        At least one.
-    normal : (3,) float64
-        Unit normal of the plane.
-    centroid_m : (3,) float64
-        A point of the plane.
+    ends, intrinsics, planes
+        As for :func:`all_polygons`.
 
     """
-    across, along = _axes_across(normal.tolist())
-    axes = np.array([across, along])
-    flat_m = ((corners_m - centroid_m) @ axes.T).astype(np.float32)
-    (x_m, y_m), (width_m, height_m), angle_deg = cv2.minAreaRect(flat_m)
-    turn = math.radians(angle_deg + (0.0 if width_m >= height_m else 90.0))
-    x_axis = [math.cos(turn) * a + math.sin(turn) * b for a, b in zip(across, along, strict=True)]
-    y_axis = _cross(normal.tolist(), x_axis)
-    return Rectangle(centroid_m + [x_m, y_m] @ axes, np.array([x_axis, y_axis, normal]).T,
-                     max(width_m, height_m), min(width_m, height_m))
+    camera = intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy
+    table = _rectangles(ends, planes.normals, planes.offsets_m, planes.centroids_m, camera)
+    return Rectangles(table[:, :3].copy(), table[:, 3:12].reshape(-1, 3, 3).copy(),
+                      table[:, 12].copy(), table[:, 13].copy())
 
 
 def row_ends(labels: np.ndarray, count: int) -> np.ndarray:
@@ -174,15 +172,88 @@ def _row_ends(labels, count):
     return ends
 
 
-@kernel('float64[:, ::1](int32[:, ::1])', is_short=True)
+@kernel('float64[:, ::1](int32[:, :, ::1], float64[:, ::1], float64[::1], float64[:, ::1], '
+        'UniTuple(float64, 4))', is_short=True)
+def _rectangles(ends, normals, offsets_m, centroids_m, camera):
+    """
+    Return rectangles (K, 14): centre, rotation by rows, width and height.
+
+    One side of the smallest rectangle lies on a side of the convex hull, which is convex on the
+    plane as it is in the image. The centroid, which noise may put outside, is enclosed too.
+    """
+    table, flat_m = np.zeros((len(ends), 14)), np.empty((4 * ends.shape[1] + 1, 2))
+    axes = np.empty((3, 3))
+    for k in range(len(ends)):
+        corners = _hull_px(ends[k])
+        _set_axes_across(normals[k], axes)
+        for i in range(len(corners)):
+            x, y = (corners[i, 0] - camera[2]) / camera[0], (corners[i, 1] - camera[3]) / camera[1]
+            facing = -(x * normals[k, 0] + y * normals[k, 1] + normals[k, 2])
+            z_m = offsets_m[k] / max(facing, MIN_COSINE)
+            for axis in range(2):
+                flat_m[i, axis] = (axes[axis, 0] * (x * z_m - centroids_m[k, 0])
+                                   + axes[axis, 1] * (y * z_m - centroids_m[k, 1])
+                                   + axes[axis, 2] * (z_m - centroids_m[k, 2]))
+        flat_m[len(corners)] = 0.0
+        _write_smallest(flat_m[:len(corners) + 1], axes, centroids_m[k], table[k])
+    return table
+
+
+@kernel('void(float64[:, ::1], float64[:, ::1], float64[::1], float64[::1])')
+def _write_smallest(flat_m, axes, origin_m, row):
+    """Write the smallest rectangle around points (N, 2) in the axes of a plane."""
+    best, count = np.inf, len(flat_m) - 1
+    for i in range(max(count, 1)):
+        x, y = flat_m[i]
+        dx, dy = flat_m[(i + 1) % max(count, 1), 0] - x, flat_m[(i + 1) % max(count, 1), 1] - y
+        length = np.sqrt(dx * dx + dy * dy)
+        dx, dy = (dx / length, dy / length) if length > 0 else (1.0, 0.0)
+        low_u = low_v = np.inf
+        high_u = high_v = -np.inf
+        for j in range(len(flat_m)):
+            u, v = dx * flat_m[j, 0] + dy * flat_m[j, 1], dx * flat_m[j, 1] - dy * flat_m[j, 0]
+            low_u, high_u = min(low_u, u), max(high_u, u)
+            low_v, high_v = min(low_v, v), max(high_v, v)
+        width, height = high_u - low_u, high_v - low_v
+        if width * height >= best:
+            continue
+        best = width * height
+        middle_u, middle_v = (low_u + high_u) / 2, (low_v + high_v) / 2
+        is_wide = width >= height
+        row[12], row[13] = max(width, height), min(width, height)
+        for axis in range(3):
+            along = dx * axes[0, axis] + dy * axes[1, axis]
+            across = dx * axes[1, axis] - dy * axes[0, axis]
+            row[axis] = origin_m[axis] + middle_u * along + middle_v * across
+            row[3 + 3 * axis] = along if is_wide else across
+            row[4 + 3 * axis] = across if is_wide else -along
+            row[5 + 3 * axis] = axes[2, axis]
+
+
+@kernel('void(float64[::1], float64[:, ::1])')
+def _set_axes_across(normal, axes):
+    """Write two unit vectors perpendicular to a unit one and to each other, and that one."""
+    least = 0
+    for axis in range(3):
+        axes[2, axis] = normal[axis]
+        least = axis if abs(normal[axis]) < abs(normal[least]) else least
+    length = np.sqrt(1 - normal[least] ** 2)
+    for axis in range(3):
+        axes[0, axis] = ((1.0 if axis == least else 0.0) - normal[least] * normal[axis]) / length
+    for axis in range(3):
+        i, j = (axis + 1) % 3, (axis + 2) % 3
+        axes[1, axis] = normal[i] * axes[0, j] - normal[j] * axes[0, i]
+
+
+@kernel('float64[:, ::1](int32[:, ::1])')
 def _hull_px(ends):
     """
-    Return the convex hull (N, 2) of a plane's pixels with their borders, column and row.
+    Return the convex hull (N, 2) of a plane's pixels with their borders, around it.
 
     The ends of the rows are sorted already (Andrew's monotone chain). First are the corners of the
-    left side, downwards, then those of the right side, downwards too.
+    left side, downwards, then those of the right side, upwards.
     """
-    corners, count = np.empty((4 * len(ends), 2)), 0
+    corners, count, first = np.empty((4 * len(ends), 2)), 0, 0
     for side in range(2):
         first, turn = count, 1.0 - 2.0 * side
         for v in range(2 * len(ends)):
@@ -196,7 +267,10 @@ def _hull_px(ends):
                     break
                 count -= 1
             corners[count, 0], corners[count, 1], count = x, y, count + 1
-    return corners[:count].copy()
+    found = corners[:count].copy()
+    for i in range(first, count):
+        found[i] = corners[count - 1 - (i - first)]
+    return found
 
 
 def _simple_outlines(mask: np.ndarray, first_pixel: tuple[int, int]
@@ -215,19 +289,3 @@ def _simple_outlines(mask: np.ndarray, first_pixel: tuple[int, int]
     simple = ((cv2.approxPolyDP(contours[index], _TOLERANCE_PX, True).reshape(-1, 2),
                parents[index] >= 0) for index in order if len(contours[index]) > 2)
     return [(corners_px, is_hole) for corners_px, is_hole in simple if len(corners_px) > 2]
-
-
-def _axes_across(normal: list[float]) -> tuple[list[float], list[float]]:
-    """Return two unit vectors that are perpendicular to a unit one and to each other."""
-    helper = [0.0, 0.0, 0.0]
-    helper[min(range(3), key=lambda axis: abs(normal[axis]))] = 1.0
-    across = _cross(normal, helper)
-    length = math.hypot(*across)
-    across = [value / length for value in across]
-    return across, _cross(normal, across)
-
-
-def _cross(first: list[float], second: list[float]) -> list[float]:
-    """Return the cross product of two vectors (3,); faster than numpy.cross."""
-    (a, b, c), (d, e, f) = first, second
-    return [b * f - c * e, c * d - a * f, a * e - b * d]

@@ -12,10 +12,9 @@ import numpy as np
 from plane_detector.geometry.rigid_transform import RigidTransform
 from plane_detector.planes.outline import (
     Polygon,
-    Rectangle,
+    Rectangles,
     all_polygons,
-    enclosing_rectangle,
-    hulls,
+    enclosing_rectangles,
     row_ends,
 )
 from plane_detector.types import CameraIntrinsics, Detection, Planes, Shape
@@ -79,13 +78,10 @@ class PlacedDetection:
                            for polygon in of_plane) for of_plane in self.camera_polygons)
 
     @cached_property
-    def rectangles(self) -> tuple[Rectangle, ...]:
+    def rectangles(self) -> Rectangles:
         """Smallest rectangle around the pixels of each plane, placed."""
-        around = hulls(self._row_ends, self.intrinsics, self.detection.planes)
-        return tuple(enclosing_rectangle(self.placed(np.vstack([corners_m, centroid_m])),
-                                         plane.normal, plane.centroid_m)
-                     for centroid_m, plane, corners_m in zip(
-                         self.detection.planes.centroids_m, self.planes, around, strict=True))
+        found = enclosing_rectangles(self._row_ends, self.intrinsics, self.detection.planes)
+        return found if self.pose is None else found.moved(self.pose)
 
     @cached_property
     def _row_ends(self) -> np.ndarray:

@@ -178,12 +178,9 @@ def planes_to_msg(frame: DetectedFrame) -> PointCloud2:
                          ('area', planes.areas_m2), ('class', planes.classes),
                          ('confidence', planes.confidences), ('merged', planes.merged)):
         table[name] = values
-    if len(planes):
-        _set(table, ('rect_x', 'rect_y', 'rect_z'), [one.centre_m for one in rectangles])
-        _set(table, ('rect_qx', 'rect_qy', 'rect_qz', 'rect_qw'),
-             quaternions(np.stack([one.rotation for one in rectangles])))
-        _set(table, ('rect_width', 'rect_height'), [(one.width_m, one.height_m)
-                                                    for one in rectangles])
+    _set(table, ('rect_x', 'rect_y', 'rect_z'), rectangles.centres_m)
+    _set(table, ('rect_qx', 'rect_qy', 'rect_qz', 'rect_qw'), quaternions(rectangles.rotations))
+    table['rect_width'], table['rect_height'] = rectangles.widths_m, rectangles.heights_m
     return cloud_msg(frame.target_header, PLANE_DTYPE, table, 1, len(table))
 
 
