@@ -257,7 +257,7 @@ class Planes(Sequence[Plane]):
 
     def picked(self, index: np.ndarray | Sequence[int]) -> Planes:
         """Return some of the planes, by a mask (K,) bool or by their indices."""
-        return Planes(*(getattr(self, name)[index] for name in self.__dataclass_fields__))
+        return Planes(*[getattr(self, name)[index] for name in self.__dataclass_fields__])
 
     def followed_by(self, others: Planes) -> Planes:
         """Return these planes and others, which are in the same frame."""

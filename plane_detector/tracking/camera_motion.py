@@ -69,8 +69,9 @@ def estimate_motion(before: Planes, after: Planes, weights: np.ndarray) -> Plane
     agree = (off * off).sum(axis=1) < (2 * _TURN_SPREAD_RAD) ** 2
     if not agree.any():
         return NO_MOTION
-    translation_m, scale = _translation_and_scale(before.picked(agree), after.picked(agree),
-                                                  weights[agree])
+    translation_m, scale = _translation_and_scale(
+        before.offsets_m[agree], after.normals[agree], after.offsets_m[agree],
+        after.distances_m[agree], weights[agree])
     return PlaneMotion(rotation, translation_m, scale)
 
 
@@ -92,14 +93,14 @@ def _rotation(before: np.ndarray, after: np.ndarray, weights: np.ndarray) -> np.
     return rotation
 
 
-def _translation_and_scale(before: Planes, after: Planes, weights: np.ndarray
+def _translation_and_scale(before_m: np.ndarray, normals: np.ndarray, after_m: np.ndarray,
+                           distances_m: np.ndarray, weights: np.ndarray
                            ) -> tuple[np.ndarray, float]:
     """Solve after = scale * before - normals . t, with priors that keep t and scale - 1 small."""
-    distances_m = after.distances_m
     typical_m = float(weights @ distances_m / weights.sum())
     # Unknowns: t as a share of the typical distance, and scale - 1.
-    system = np.column_stack([-after.normals * typical_m, before.offsets_m]) / distances_m[:, None]
-    change = (after.offsets_m - before.offsets_m) / distances_m
+    system = np.column_stack([-normals * typical_m, before_m]) / distances_m[:, None]
+    change = (after_m - before_m) / distances_m
     robust, caution = weights, np.array([1.0, 1.0, 1.0, _FIRST_CAUTION])
     unknown = np.zeros(4)
     for _ in range(_MOST_ROUNDS):

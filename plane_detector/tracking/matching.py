@@ -12,11 +12,12 @@ from typing import Any
 
 import numpy as np
 
+from plane_detector.compilation import kernel
 from plane_detector.types import Planes
 
 # Standard deviations of one plane in two images, apart from the motion of the camera: of the angle
 # between the normals, and of the distance from the plane as a share of that from the camera.
-_ANGLE_DEG, _OFFSET_SHARE = 10.0, 0.03
+_ANGLE_RAD, _OFFSET_SHARE = math.radians(10.0), 0.03
 _TINY_M2 = 1e-12
 
 
@@ -28,64 +29,90 @@ class Overlap:
     of_known: np.ndarray  # share of the known plane: 1 also for each part of a merged plane
 
 
-def measure_overlap(before: Sequence[np.ndarray], after: Sequence[np.ndarray]) -> Overlap:
-    """Return the overlap of planes; each plane is given by the indices of its pixels."""
-    (first, first_size), (second, second_size) = map(_joined, (before, after))
-    width = len(after) + 1
-    plane = np.zeros(1 + max(first.max(initial=0), second.max(initial=0)), np.intp)
-    plane[second] = np.repeat(np.arange(1, width), second_size)
-    pairs = np.repeat(width * np.arange(len(before)), first_size) + plane[first]
-    common = np.bincount(pairs, minlength=width * len(before)).reshape(-1, width)[:, 1:]
-    before_size, after_size = first_size[:, None], second_size
-    return Overlap(common / np.maximum(before_size + after_size - common, 1),
-                    common / np.maximum(before_size, 1))
+def thinned(labels: np.ndarray, rows: int) -> np.ndarray:
+    """Return labels (H, W) on about so many rows, as (M,) int32."""
+    step = max(1, min(labels.shape) // rows)
+    return np.ascontiguousarray(labels[::step, ::step], np.int32).ravel()
 
 
-def _joined(groups: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Return the indices of all groups, and the number in each group."""
-    return (np.concatenate([np.zeros(0, np.intp), *groups]),
-            np.array([len(group) for group in groups], np.intp))
+def pixels_by_label(labels: np.ndarray, count: int) -> list[np.ndarray]:
+    """Return the indices (N,) int32 of the pixels of each label in labels (M,)."""
+    pixels, ends = _sorted_pixels(labels, count)
+    return [pixels[begin:end] for begin, end in itertools.pairwise(ends.tolist())]
+
+
+def measure_overlap(before: Sequence[np.ndarray], labels: np.ndarray, count: int) -> Overlap:
+    """Return the overlap of things known by the indices of their pixels with labels (M,) now."""
+    known_px = np.array([len(pixels) for pixels in before], np.int64)
+    common, found_px = _count_common(np.concatenate([np.zeros(0, np.int32), *before]), known_px,
+                                     labels, count)
+    known_px = known_px[:, None]
+    return Overlap(common / np.maximum(known_px + found_px - common, 1),
+                   common / np.maximum(known_px, 1))
+
+
+@kernel('Tuple((int32[::1], int64[::1]))(int32[::1], int64)', is_short=True)
+def _sorted_pixels(labels, count):
+    """Return the indices of the pixels, ordered by label, and where each label begins and ends."""
+    ends = np.zeros(count + 1, np.int64)
+    for i in range(len(labels)):
+        if 0 <= labels[i] < count:
+            ends[labels[i] + 1] += 1
+    for k in range(count):
+        ends[k + 1] += ends[k]
+    pixels, place = np.empty(ends[count], np.int32), ends[:count].copy()
+    for i in range(len(labels)):
+        if 0 <= labels[i] < count:
+            pixels[place[labels[i]]] = i
+            place[labels[i]] += 1
+    return pixels, ends
+
+
+@kernel('Tuple((int64[:, ::1], int64[::1]))(int32[::1], int64[::1], int32[::1], int64)',
+        is_short=True)
+def _count_common(pixels, known_px, labels, count):
+    """Return the pixels that known things (T,) share with labels, (T, N), and those of each."""
+    common, found_px = np.zeros((len(known_px), count), np.int64), np.zeros(count, np.int64)
+    for i in range(len(labels)):
+        if 0 <= labels[i] < count:
+            found_px[labels[i]] += 1
+    first = 0
+    for t in range(len(known_px)):
+        for i in range(first, first + known_px[t]):
+            if pixels[i] < len(labels) and 0 <= labels[pixels[i]] < count:
+                common[t, labels[pixels[i]]] += 1
+        first += known_px[t]
+    return common, found_px
 
 
 def likeness(before: Planes, after: Planes, overlap: Overlap,
-             growth: np.ndarray) -> np.ndarray:
+             deviation2: np.ndarray) -> np.ndarray:
     """
     Return how well planes agree in position and coefficients, (T, N), 0 to 1.
 
     The positions agree by shared pixels or, if the camera has turned so far that there are none,
-    by the distance of the centroids relative to the size of the planes. ``growth`` is that of
-    :func:`squared_deviation`.
+    by the distance of the centroids relative to the size of the planes. The coefficients agree by
+    their :func:`squared_deviation`.
     """
     place = np.maximum((overlap.of_union + overlap.of_known) / 2, _nearness(before, after))
-    return place * np.exp(-0.5 * squared_deviation(before, after, growth))
+    return place * np.exp(-0.5 * deviation2)
 
 
-def squared_deviation(before: Planes, after: Planes, growth: np.ndarray | float = 1.0,
-                      angle_deg: float = _ANGLE_DEG,
-                      offset_share: float = _OFFSET_SHARE) -> np.ndarray:
+def squared_deviation(before: Planes, after: Planes, growth: np.ndarray | float = 1.0
+                      ) -> np.ndarray:
     """
     Return the squared number of standard deviations by which coefficients differ, (T, N).
 
-    Parameters
-    ----------
-    before, after : Planes
-        T and N planes, in one camera frame.
-    growth : (T,) float or float
-        Factor on the variances of the next two.
-    angle_deg : float
-        Standard deviation of the angle between normals, in addition to that of the fits.
-    offset_share : float
-        The same for the distance from one plane to the centroid of the other, as a share of the
-        distance of the centroid from the camera.
-
+    The T and N planes are in one camera frame; ``growth``, (T,) or a number, is a factor on the
+    variances of angle and offset between two images.
     """
     growth = np.reshape(growth, (-1, 1))
     turn_rad = np.arccos((before.normals @ after.normals.T).clip(-1, 1))
     off = (before.centroids_m @ after.normals.T + after.offsets_m) / before.distances_m[:, None]
     back = (before.normals @ after.centroids_m.T + before.offsets_m[:, None]) / after.distances_m
-    turn_variance = (math.radians(angle_deg) ** 2 * growth
+    turn_variance = (_ANGLE_RAD ** 2 * growth
                      + np.add.outer(before.normal_variances, after.normal_variances))
-    off_variance = (offset_share ** 2 * growth
+    off_variance = (_OFFSET_SHARE ** 2 * growth
                     + np.add.outer(*(one.centroid_variances_m2 / one.distances_m ** 2
                                      for one in (before, after))))
     return turn_rad ** 2 / turn_variance + (off ** 2 + back ** 2) / (2 * off_variance)

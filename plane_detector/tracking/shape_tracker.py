@@ -9,7 +9,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from plane_detector.tracking.matching import best_pairs, labels_of_found, measure_overlap
+from plane_detector.tracking.matching import (
+    best_pairs,
+    labels_of_found,
+    measure_overlap,
+    pixels_by_label,
+    thinned,
+)
 from plane_detector.types import Shape
 
 # Shapes are small and move far relative to their size, so a small overlap suffices, or a motion by
@@ -47,10 +53,9 @@ def update_shape_tracks(tracks: Sequence[ShapeTrack], shapes: Sequence[Shape], l
         A shape that is not found keeps its label for this many images.
 
     """
-    step = max(1, min(labels.shape) // _ROWS)
-    thinned = labels[::step, ::step].ravel()
-    pixels = [np.flatnonzero(thinned == k) for k in range(len(shapes))]
-    match = _match(tracks, shapes, pixels)
+    labels = thinned(labels, _ROWS)
+    pixels = pixels_by_label(labels, len(shapes))
+    match = _match(tracks, shapes, labels)
     names, gone = labels_of_found(tracks, match, len(shapes), keep_frames)
     seen = [ShapeTrack(*one) for one in zip(names, shapes, pixels, strict=True)]
     missing = [replace(tracks[k], missed=tracks[k].missed + 1) for k in gone]
@@ -58,11 +63,11 @@ def update_shape_tracks(tracks: Sequence[ShapeTrack], shapes: Sequence[Shape], l
 
 
 def _match(tracks: Sequence[ShapeTrack], shapes: Sequence[Shape],
-           pixels: Sequence[np.ndarray]) -> dict[int, int]:
-    """Return the track of each shape; unmatched shapes are left out."""
+           labels: np.ndarray) -> dict[int, int]:
+    """Return the track of each shape, by the labels (M,); unmatched shapes are left out."""
     if not tracks or not shapes:
         return {}
-    overlap = measure_overlap([track.pixels for track in tracks], pixels).of_union
+    overlap = measure_overlap([track.pixels for track in tracks], labels, len(shapes)).of_union
     score = np.array([[max(overlap[t, k], _nearness(track.shape, shape))
                        if _are_alike(track.shape, shape) else 0.0
                        for k, shape in enumerate(shapes)] for t, track in enumerate(tracks)])

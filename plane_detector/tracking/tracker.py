@@ -27,7 +27,9 @@ from plane_detector.tracking.matching import (
     labels_of_found,
     likeness,
     measure_overlap,
+    pixels_by_label,
     squared_deviation,
+    thinned,
 )
 from plane_detector.types import NO_PLANES, Planes, PlaneSegmentation
 
@@ -110,34 +112,26 @@ class PlaneTracker:
 def update_tracks(known: KnownPlanes, found: PlaneSegmentation, config: TrackingConfig
                   ) -> KnownPlanes:
     """Return what is known after an image; the planes of the image come first."""
-    pixels, after = _pixels_of_planes(found), found.planes
-    overlap = measure_overlap([track.pixels for track in known.tracks], pixels)
+    image, after = thinned(found.labels, _ROWS), found.planes
+    pixels = pixels_by_label(image, len(after))
+    overlap = measure_overlap([track.pixels for track in known.tracks], image, len(after))
     moved = _moved_along(known, after, pixels, overlap)
-    match = _match(known.tracks, moved, after, overlap)
+    missed = np.array([track.missed for track in known.tracks])
+    deviation2 = squared_deviation(moved, after, 1 + missed)
+    match = _match(known.tracks, likeness(moved, after, overlap, deviation2))
     labels, gone = labels_of_found(known.tracks, match, len(pixels), config.keep_frames)
     tracks = [Track(label, where, _streak(known.tracks, match.get(k)))
               for k, (label, where) in enumerate(zip(labels, pixels, strict=True))]
     tracks += [Track(one.label, one.pixels, one.streak, one.missed + 1)
                for one in map(known.tracks.__getitem__, gone)]
     after = replace(after, labels=np.array(labels, np.int64),
-                    merged=_merged_labels(known.tracks, moved, after, match, overlap))
-    return KnownPlanes(tuple(tracks), after.followed_by(moved.picked(gone)))
+                    merged=_merged_labels(known.tracks, match, overlap, deviation2))
+    return KnownPlanes(tuple(tracks), after.followed_by(moved.picked(gone)) if gone else after)
 
 
 def _streak(tracks: Sequence[Track], index: int | None) -> int:
     """Return the number of consecutive images with a plane, by its track before this image."""
     return 1 if index is None or tracks[index].missed else tracks[index].streak + 1
-
-
-def _pixels_of_planes(found: PlaneSegmentation) -> list[np.ndarray]:
-    """Return the indices of each plane's pixels in the subsampled image."""
-    step = max(1, min(found.labels.shape) // _ROWS)
-    labels = found.labels[::step, ::step].ravel()
-    if len(found.planes) < np.iinfo(np.int16).max:
-        labels = labels.astype(np.int16)  # sorted by radix, in a sixth of the time
-    order = np.argsort(labels, kind='stable')
-    ends = np.searchsorted(labels[order], np.arange(-1, len(found.planes)), side='right')
-    return [order[begin:end] for begin, end in zip(ends, ends[1:], strict=False)]
 
 
 def _moved_along(known: KnownPlanes, after: Planes, pixels: Sequence[np.ndarray],
@@ -160,14 +154,12 @@ def _is_sure(known: KnownPlanes, after: Planes, share: np.ndarray) -> np.ndarray
             & (cosine > np.cos(_MOTION_MAX_TURN_RAD)))
 
 
-def _match(tracks: Sequence[Track], before: Planes, after: Planes,
-           overlap: Overlap) -> dict[int, int]:
-    """Return the track of each found plane; unmatched planes are left out."""
-    if not tracks or not len(after):
+def _match(tracks: Sequence[Track], score: np.ndarray) -> dict[int, int]:
+    """Return the track of each found plane by scores (T, N); unmatched planes are left out."""
+    if not score.size:
         return {}
     missed = np.array([track.missed for track in tracks])
-    score = likeness(before, after, overlap, 1 + missed)
-    score[score < _MIN_SCORE] = 0
+    score = np.where(score < _MIN_SCORE, 0, score)
     trust = (1 - _YOUTH / np.array([track.streak for track in tracks])) * _MISSED ** (missed > 0)
     score *= trust[:, None]
     rows, columns = best_pairs(score)
@@ -175,8 +167,8 @@ def _match(tracks: Sequence[Track], before: Planes, after: Planes,
         rows.tolist(), columns.tolist(), score[rows, columns].tolist(), strict=True) if value > 0}
 
 
-def _merged_labels(tracks: Sequence[Track], moved: Planes, after: Planes, match: Mapping[int, int],
-                   overlap: Overlap) -> np.ndarray:
+def _merged_labels(tracks: Sequence[Track], match: Mapping[int, int], overlap: Overlap,
+                   deviation2: np.ndarray) -> np.ndarray:
     """
     Return, for each plane of an image, the label that was merged into it since the last image.
 
@@ -184,14 +176,14 @@ def _merged_labels(tracks: Sequence[Track], moved: Planes, after: Planes, match:
     covers most of its pixels, and is coplanar with it. 0: none; the largest plane if there are
     several.
     """
-    merged, most = np.zeros(len(after), np.int64), np.zeros(len(after))
+    count = deviation2.shape[1]
+    merged, most = np.zeros(count, np.int64), np.zeros(count)
     lost = {t for t, track in enumerate(tracks) if not track.missed} - set(match.values())
-    for old in lost if len(after) else ():
+    for old in lost if count else ():
         new = int(overlap.of_known[old].argmax())
         share, size = overlap.of_known[old, new], len(tracks[old].pixels)
         if (share > _MERGED_SHARE and share * size > most[new]
                 and new in match and not tracks[match[new]].missed
-                and squared_deviation(moved.picked([old]), after.picked([new])).item()
-                <= _MOST_DEVIATIONS**2):
+                and deviation2[old, new] <= _MOST_DEVIATIONS**2):
             merged[new], most[new] = tracks[old].label, share * size
     return merged
