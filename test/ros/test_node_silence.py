@@ -107,7 +107,7 @@ def test_lost_images_are_counted_and_told_with_the_remedy(robot, room):
     assert robot.is_logged('% of the images on /image are missing: /camera_info brings more')
     assert 'config/fastdds_large_messages.xml' in robot.log()
     images, _, infos, *_ = robot.diagnosis()[1]['images_received'].replace(',', '').split()
-    assert int(images) <= 0.65 * int(infos)
+    assert int(images) <= 0.8 * int(infos)
 
 
 def counted(images_s, infos_s):
@@ -331,7 +331,8 @@ def test_the_mounting_of_an_imu_comes_from_tf(robot, room):
     facts = with_imu(robot, room, turn.rotation.T @ room.gravity_camera)
     assert facts['gravity'] == 'imu'
     assert 'mounting of the IMU: by TF, from imu_link' in robot.log()
-    names = {row.key for row in robot.received['diagnostics'][-1].status[1].values}
+    names = {row.key for msg in robot.received['diagnostics'] for status in msg.status[1:]
+             for row in status.values}
     assert any('floor' in name for name in names), names
 
 

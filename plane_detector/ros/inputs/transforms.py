@@ -22,6 +22,9 @@ from plane_detector.geometry.gravity import unit_direction
 from plane_detector.geometry.rigid_transform import RigidTransform, interpolate
 from plane_detector.ros.inputs.synchronizer import ns_of
 
+# chosen: beyond any place on earth in metres, so that float32 holds what is moved.
+_LARGEST = 1e9
+
 
 class TransformError(ValueError):
     """There is no transform between two frames at a time."""
@@ -125,9 +128,9 @@ def transform_from_msg(msg: Any) -> RigidTransform:
     rotation, translation = msg.transform.rotation, msg.transform.translation
     quaternion = rotation.x, rotation.y, rotation.z, rotation.w
     translation_m = translation.x, translation.y, translation.z
-    if not np.isfinite([*quaternion, *translation_m]).all():
+    if not (np.abs([*quaternion, *translation_m]) <= _LARGEST).all():  # nor NaN
         raise ValueError(f'the transform from {msg.child_frame_id} to {msg.header.frame_id} has '
-                         'numbers that are not finite')
+                         f'numbers that are not finite, or above {_LARGEST:g}')
     return RigidTransform.from_quaternion(quaternion, translation_m)
 
 

@@ -87,7 +87,7 @@ def _run_many(arguments: argparse.Namespace, inputs: Sequence[str], folder: Path
     bags = many_bags.find_bags(inputs, folder.resolve())
     options = _options(arguments, Path(), folder)
     try:
-        summaries = many_bags.replay_many(bags, options, arguments.backend, arguments.jobs)
+        summaries = many_bags.replay_many(bags, options, arguments.jobs)
     except KeyboardInterrupt:  # a cluster on this machine ends with this process
         end_process(INTERRUPTED)
     print(many_bags.describe(summaries))
@@ -176,9 +176,6 @@ def _make_parser() -> argparse.ArgumentParser:
     add = parser.add_argument_group('many bags').add_argument
     add('--jobs', type=_jobs, default=-1, metavar='N',
         help='bags processed at a time, one thread each (default: all cores)')
-    add('--backend', choices=('loky', 'dask', 'ray'), default='loky',
-        help='of joblib: processes on this machine, or a cluster that shares the folders '
-             '(default: %(default)s)')
     return parser
 
 

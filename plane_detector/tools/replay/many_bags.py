@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Many bags, each a job of joblib: processes on this machine, or Dask or Ray.
+Many bags, each a job of joblib: processes on this machine, or the backend that is set.
 
 As with make, a second run does what is missing: a new bag has its name only when it is whole.
 """
@@ -16,7 +16,6 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
-from typing import Any
 
 import joblib
 
@@ -117,10 +116,12 @@ def _is_bag(path: Path) -> bool:
         entry.is_dir() or entry.suffix == '.bag' for entry in entries)
 
 
-def replay_many(bags: Mapping[str, Path], options: ReplayOptions, backend: str = 'loky',
-                jobs: int = -1) -> list[BagSummary]:
+def replay_many(bags: Mapping[str, Path], options: ReplayOptions, jobs: int = -1
+                ) -> list[BagSummary]:
     """
     Replay bags; return the summary of each, in order, and write them as a table.
+
+    They run in processes on this machine, or where a surrounding ``joblib.parallel_config`` says.
 
     Parameters
     ----------
@@ -129,33 +130,28 @@ def replay_many(bags: Mapping[str, Path], options: ReplayOptions, backend: str =
     options : ReplayOptions
         For all of them: the target is the folder of the new bags; figures, ply and table are
         folders with one entry per bag.
-    backend : str
-        Of joblib: ``loky``, ``dask`` or ``ray``.
     jobs : int
         Bags at a time; -1: as many as the backend has cores.
 
     Raises
     ------
     OSError
-        The folder cannot be written, the cluster does not answer, or a worker was killed.
-    ModuleNotFoundError
-        The backend is not installed.
+        The folder cannot be written, a cluster does not answer, or a worker was killed.
 
     """
     options.target.mkdir(parents=True, exist_ok=True)
     each = [_options_of(name, source, options) for name, source in bags.items()]
-    with joblib.parallel_config(backend, n_jobs=jobs, **_connection(backend)):
-        try:
-            summaries = joblib.Parallel(batch_size=1, verbose=11)(
-                joblib.delayed(replay_one)(one) for one in each)
-        except OSError:  # the cluster does not answer
-            raise
-        except Exception as error:  # each backend has its own class for a worker that died
-            begun = [one.target.name for one in each if part_folder(one.target).exists()]
-            raise OSError(
-                f'a worker ended, at one of {", ".join(begun) or "the bags"}: '
-                f'{type(error).__name__}: {" ".join(str(error).split())}. Whole bags are kept; '
-                'the same command does the others') from error
+    try:
+        summaries = joblib.Parallel(n_jobs=jobs, batch_size=1, verbose=11)(
+            joblib.delayed(replay_one)(one) for one in each)
+    except OSError:  # a cluster does not answer
+        raise
+    except Exception as error:  # each backend has its own class for a worker that died
+        begun = [one.target.name for one in each if part_folder(one.target).exists()]
+        raise OSError(
+            f'a worker ended, at one of {", ".join(begun) or "the bags"}: '
+            f'{type(error).__name__}: {" ".join(str(error).split())}. Whole bags are kept; '
+            'the same command does the others') from error
     with Draft(options.target / SUMMARY_NAME) as draft:
         with open(draft.path, 'w', newline='', encoding='utf-8') as file:
             writer = csv.DictWriter(file, [field.name for field in fields(BagSummary)])
@@ -163,22 +159,6 @@ def replay_many(bags: Mapping[str, Path], options: ReplayOptions, backend: str =
             writer.writerows({**asdict(one), 'seconds': f'{one.seconds:.3f}'} for one in summaries)
         draft.publish()
     return summaries
-
-
-def _connection(backend: str) -> dict[str, Any]:
-    """Connect to a cluster, by the address in its own environment variable, or start one here."""
-    try:
-        if backend == 'dask':
-            from dask.distributed import Client
-            return {'client': Client()}
-        if backend == 'ray':
-            from ray.util.joblib import register_ray
-            register_ray()
-    except ModuleNotFoundError as error:
-        package = {'dask': '"dask[distributed]"', 'ray': 'ray'}[backend]
-        raise ModuleNotFoundError(f'{error}: --backend {backend} needs pip install {package}, '
-                                  'here and on the workers', name=error.name) from error
-    return {}
 
 
 def _options_of(name: str, source: Path, options: ReplayOptions) -> ReplayOptions:

@@ -9,13 +9,15 @@ import sys
 import time
 from pathlib import Path
 
+import joblib
 import pytest
 from bags import read_bag, write_bag
 from replay_helpers import DEPTH, assert_true, camera_messages, rows_of
 
+from plane_detector.tools.replay import many_bags
 from plane_detector.tools.replay.__main__ import main
 from plane_detector.tools.replay.bag_reader import BagError
-from plane_detector.tools.replay.many_bags import find_bags, is_collection
+from plane_detector.tools.replay.many_bags import BagSummary, find_bags, is_collection
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -101,6 +103,19 @@ def test_one_run_a_second_one_and_one_that_fails(bags, scenes, tmp_path, capsys,
         'first': 'done before', 'monday_walk': 'done before', 'second': 'finished'}
     assert {row['frames'] for row in rows.values()} == {str(len(scenes))}
     assert (out / 'first' / 'metadata.yaml').stat().st_mtime_ns == before
+
+
+def test_the_jobs_run_where_joblib_is_told(bags, tmp_path, monkeypatch):
+    """As on a cluster; here in this process, where the stand-in for the work is seen."""
+    done = []
+
+    def count(options):
+        done.append(options.target.name)
+        return BagSummary(options.target.name, 'finished')
+    monkeypatch.setattr(many_bags, 'replay_one', count)
+    with joblib.parallel_config('sequential'):
+        assert main([str(bags), str(tmp_path / 'out')]) == 0
+    assert done == ['first', 'monday_walk', 'second']
 
 
 def start(bags, out):
