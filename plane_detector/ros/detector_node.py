@@ -115,7 +115,12 @@ class PlaneDetectorNode(LifecycleNode):
         self.create_service(Trigger, '~/reset_tracking', self._on_reset_tracking)
         self._diagnostics = DiagnosticsPublisher(self, self._statistics, self._describe)
         self._transitions = Transitions(self, self._load)
-        if self._live.settings.autostart:
+        if not self._live.settings.autostart:
+            name = self.get_fully_qualified_name()
+            self.get_logger().info(
+                f'autostart is false: waiting for a lifecycle manager, or for ros2 lifecycle set '
+                f'{name} configure, then activate')
+        else:
             Autostart(self, self._transitions, lambda: self._health.may_pass,
                       exits=self._live.settings.exit_on_failure)
 
@@ -173,16 +178,19 @@ class PlaneDetectorNode(LifecycleNode):
         except Exception as error:  # a wrong qos_overrides parameter
             return self._fail(f'cannot be activated: {error}')
         self._health.failure = ''
+        self.get_logger().info('active')
         return super().on_activate(state)
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Destroy the subscriptions and drop the frames being processed."""
         self._unsubscribe()
         self._flow.drop()
+        self.get_logger().info('inactive')
         return super().on_deactivate(state)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Free the network and the outputs."""
+        self.get_logger().info('unconfigured')
         return self._release()
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:

@@ -146,7 +146,8 @@ def test_configuring_fails_with_the_reason_and_can_be_tried_again(robot, tmp_pat
 
 def test_lifecycle_without_autostart(robot, room):
     node = start(robot, lambda rgb: room.depth_m, wait=False, autostart=False)
-    robot.spin(timeout_s=0.3)
+    assert robot.is_logged('waiting for a lifecycle manager, or for ros2 lifecycle set '
+                           '/plane_detector configure, then activate')
     assert node.state == 'unconfigured'
     assert not robot.call(Trigger, 'plane_detector/detect').success
     assert not change_state(robot, Transition.TRANSITION_ACTIVATE), 'not from unconfigured'
@@ -162,6 +163,8 @@ def test_lifecycle_without_autostart(robot, room):
         assert change_state(robot, Transition.TRANSITION_CLEANUP)
         assert node.state == 'unconfigured'
         assert node.count_publishers('plane_detector/planes') == 0
+    for state in ('active', 'inactive', 'unconfigured'):
+        assert robot.log().count(f'[plane_detector]: {state}\n') == 2
 
 
 def reliabilities(robot):
