@@ -10,6 +10,7 @@ from cell_helpers import scored
 from plane_detector.config import Config
 from plane_detector.evaluation.benchmark.samples import noisy_depth, room
 from plane_detector.evaluation.scenes.rooms import VGA, single_wall
+from plane_detector.evaluation.scenes.sensor_cases import SENSOR_CASES
 from plane_detector.geometry.disparity import to_disparity
 from plane_detector.pipeline import segment_planes
 from plane_detector.segmentation.cells.noise_correlation import LEAST_ERROR_M
@@ -124,3 +125,12 @@ def test_a_steep_wall_is_a_plane_although_pixels_see_aside():
     disparity, truth = corner(0.7)
     labels = segment_planes((1 / disparity).astype(np.float32), VGA).labels
     assert np.bincount(labels[(truth == 2) & (labels >= 0)]).max() > 0.9 * (truth == 2).sum()
+
+
+@pytest.mark.parametrize(('case', 'seed'), [('low stereo', 504), ('filtered', 501)])
+def test_the_largest_surface_of_a_sensor_stays_one_plane(case, seed):
+    scene, depth_m = SENSOR_CASES[case](np.random.default_rng(seed))
+    found = segment_planes(depth_m, scene.intrinsics)
+    largest = np.bincount(scene.labels[scene.labels >= 0]).argmax()
+    names = found.labels[(scene.labels == largest) & np.isfinite(depth_m)]
+    assert np.bincount(names[names >= 0]).max() > 0.8 * len(names)

@@ -59,7 +59,7 @@ def matched(scene: Scene, rng: np.random.Generator, lateral_px: float = 0.0,
             error_px: float = 0.03) -> np.ndarray:
     """Return depth by stereo: errors of place and of disparity, alike over a matching window."""
     v, u = np.indices(scene.depth_m.shape).astype(np.float32)
-    shift_u, shift_v = (lateral_px * smooth_field(v.shape, 2.5, rng) for _ in range(2))
+    shift_u, shift_v = (lateral_px * smooth_field(v.shape, 1.2, rng) for _ in range(2))
     seen_m = cv2.remap(scene.depth_m, (u + shift_u).astype(np.float32),
                        (v + shift_v).astype(np.float32), cv2.INTER_NEAREST,
                        borderMode=cv2.BORDER_REPLICATE)

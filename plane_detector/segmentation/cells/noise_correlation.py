@@ -37,12 +37,17 @@ MIN_POWER, MAX_POWER = 0.5, 2.0
 # sensors, and rooms and lived-in rooms with blurred noise below seed 9000: flat from 1.4 to 1.5
 # and from 2.5 to 3.5, largest 2.5 to 3: SC of the NYU frames .907 to .927; chosen on seven of
 # them, the eighth has .931 in the mean. NYU -0.03 at 1.35; rooms of sensors -0.01 at 3.5.
-ROUGHNESS_LAGS = 1, 4, 8
+ROUGHNESS_LAGS = 1, 4, 8, 12
 SMOOTH_POWER, BENDING_PER_POWER, MAX_BENDING = 1.45, 2.5, 3.0
 # The growth at which the systematic part begins to count, and that at which all of it counts.
 # tuned: as above; flat from 0.2 to 0.3 and from 0.45 to 0.6; SC of lived-in rooms in simulated
 # stereo -0.035 from 0 to 0.35, NYU frames -0.01 to 0.8.
 MIN_GROWTH, FULL_GROWTH = 0.3, 0.6
+# Depth that a driver or a phone has filtered is as smooth between near cells as blurred noise, but
+# wanders over the image: its differences grow with a power of 1.2 of the distance from 4 to 8
+# cells and of 1.0 from 8 to 12, those of blurred noise with .1 to .5, then -.5 to -.6. From the
+# first of these powers on, in both, it has a systematic part, with the second all of it.
+MIN_WANDERING, FULL_WANDERING = 0.6, 0.9
 # The least error of whole planes, by which every sensor bends them: time of flight cameras have 3
 # to 11 mm, in waves over their range and in corners, which planes in pieces do not show any more.
 # tuned: rooms, lived-in rooms and curved scenes below seed 9000, flat from 0.004 to 0.006: SC in
@@ -206,16 +211,18 @@ def bending_of(model: WeightedCells, regions: PlaneRegions, noise: Noise) -> flo
         variance = (SIGMA_PER_MEDIAN * median(moduli)) ** 2 - 2 * own if len(moduli) else 0.0
         return math.log2(variance) if variance > 0 else math.nan
 
-    near, middle, far = ROUGHNESS_LAGS
-    at_middle = log_variance(middle)
+    near, middle, far, farthest = ROUGHNESS_LAGS
+    at_middle, at_far = log_variance(middle), log_variance(far)
     power = (at_middle - log_variance(near)) / math.log2(middle / near)
-    if not power < SMOOTH_POWER:
+    growth = (at_far - at_middle) / math.log2(far / middle)
+    excess, limits = BENDING_PER_POWER * (SMOOTH_POWER - power), (MIN_GROWTH, FULL_GROWTH)
+    if power >= SMOOTH_POWER:
+        growth = min(growth, (log_variance(farthest) - at_far) / math.log2(farthest / far))
+        excess, limits = MAX_BENDING - 1, (MIN_WANDERING, FULL_WANDERING)
+    if math.isnan(power + growth) or (power >= SMOOTH_POWER and growth < limits[0]):
         return 1.0
-    growth = (log_variance(far) - at_middle) / math.log2(far / middle)
-    if math.isnan(growth):
-        return 1.0
-    excess = min(BENDING_PER_POWER * (SMOOTH_POWER - power), MAX_BENDING - 1)
-    share = min(max((growth - MIN_GROWTH) / (FULL_GROWTH - MIN_GROWTH), 0.0), 1.0)
+    excess = min(excess, MAX_BENDING - 1)
+    share = min(max((growth - limits[0]) / (limits[1] - limits[0]), 0.0), 1.0)
     of_smooth = 1 + excess * share
     if noise.is_metric:
         least = LEAST_ERROR_M * model.grid.typical_disparity**2 / smooth_sigma

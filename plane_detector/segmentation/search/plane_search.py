@@ -3,11 +3,11 @@
 """
 Search for the planes and the noise together, since each is needed to find the other.
 
-1. the noise is estimated from differences between neighbouring cells;
+1. the noise is estimated from differences between neighbouring cells, its lateral part from how
+   the deviation of the pixels grows with the slope;
 2. the largest planes are found, and the noise is estimated from their residuals, which neither
    miss noise that is smooth over several cells nor count clutter as noise;
-3. the systematic part of the noise is told from how the residuals grow with the distance, the
-   lateral part from how the deviation of the pixels grows with the slope;
+3. the systematic part of the noise shows in how the residuals grow with the distance;
 4. the remaining planes are found with this noise, or all of them again if it has changed.
 """
 
@@ -24,7 +24,6 @@ from plane_detector.geometry.robust import SIGMA_PER_MEDIAN, median
 from plane_detector.segmentation.cells.grid import CellGrid
 from plane_detector.segmentation.cells.model import SLOPE_X, SLOPE_Y, Frame, PlaneRegions, residual
 from plane_detector.segmentation.cells.noise import (
-    DepthKind,
     Noise,
     estimate_noise,
     sample_cells,
@@ -42,8 +41,6 @@ START_SHARE = 0.7
 # The largest planes reveal noise that is smooth over more than neighbouring cells.
 # tuned: benchmark sensitivity; flat from 0.7 to 1.4 times.
 CALIBRATION_PLANES = 3
-# derived: sensors have 0.3 to 0.8 px (Nguyen et al. 2012); more is seen where no plane is steep.
-MAX_LATERAL_PX = 1.0
 # derived: planes are the same when the noise changes by less.
 TOLERANCE = 0.1
 # Neighbours on planes at this angle must not link; walls that a network bends by less are one.
@@ -70,11 +67,8 @@ def search_planes(frame: Frame) -> tuple[Frame, PlaneRegions]:
         frame = replace(frame, noise=noise)
     if _differs(noise.with_bending(MAX_BENDING), noise, floor):
         noise = noise.with_bending(bending_of(frame.cells, regions, noise))
-    noise = _with_lateral_part(noise, grid, regions)
     if _differs(noise, frame.noise, floor):
         frame, regions = replace(frame, noise=noise), no_planes(grid)
-    elif noise.lateral_px > 0:
-        frame = replace(frame, noise=replace(frame.noise, lateral_px=noise.lateral_px))
     return frame, add_planes(frame, regions, most)
 
 
@@ -93,27 +87,6 @@ def _noise_from_planes(frame: Frame, regions: PlaneRegions) -> Noise:
     sigmas = (SIGMA_PER_MEDIAN * median(moduli), SIGMA_PER_MEDIAN * median(tilt),
               median(grid.residual_rms[cells]))
     return frame.noise.from_cells(sigmas, grid.sparsity.take(cells, 0))
-
-
-def _with_lateral_part(noise: Noise, grid: CellGrid, regions: PlaneRegions) -> Noise:
-    """Return the noise with what steep cells vary more than flat ones (groups, Wald 1940)."""
-    cells = sample_cells(in_large_regions(regions.labels, len(regions.coefficients)))
-    third, freedom = len(cells) // 3, grid.size_px**2 - 3
-    kind = noise.kind(grid.typical_disparity)
-    if kind is not DepthKind.MEASURED or third == 0 or freedom < 1:
-        return noise
-    square = (grid.slope[cells] ** 2).sum(axis=1) / grid.width_px**2
-    variance = grid.residual_rms[cells] ** 2 - noise.variance_floor(grid.mean[cells, 2])
-    order = np.argpartition(square, (third, len(cells) - third))
-    (flat, steep), (of_flat, of_steep) = (
-        [median(values[group]) for group in (order[:third], order[-third:])]
-        for values in (square, variance))
-    # Twice the error of the medians of variances of white noise.
-    error = 2 * math.hypot(of_flat, of_steep) * (math.pi / freedom / third) ** 0.5
-    if of_steep <= of_flat + error or steep <= flat:
-        return noise
-    lateral_px = ((of_steep - of_flat - error) / (steep - flat)) ** 0.5
-    return replace(noise, lateral_px=min(lateral_px, MAX_LATERAL_PX))
 
 
 @kernel('UniTuple(float64[::1], 2)(int32[:, ::1], float64[:, ::1], float64[:, ::1], int64[:])',
