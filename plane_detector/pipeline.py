@@ -189,8 +189,8 @@ class PlaneDetector:
         Those found last are kept while nothing moves. ``gravity_source`` names what measured the
         direction of gravity.
         """
-        given = None if seen.output == 'relative_disparity' else seen.disparity
-        image = CameraImage(seen.rgb, seen.intrinsics, seen.covered, given, seen.stamp_s,
+        image = CameraImage(seen.rgb, seen.intrinsics, seen.covered, seen.disparity,
+                            seen.output == 'relative_disparity', seen.stamp_s,
                             is_still=seen.is_measured or seen.is_still)
         with seen.timer('directions'):
             return self._directions.at(seen.epoch).find(

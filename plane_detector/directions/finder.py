@@ -13,7 +13,12 @@ import numpy as np
 from plane_detector.config import Config
 from plane_detector.directions.gravity_choice import LIKELY_SIGMAS, Gravity, choose_gravity
 from plane_detector.directions.line_segments import LineSegments, detect_line_segments
-from plane_detector.directions.posterior import Expected, collect_evidence, surface_normals
+from plane_detector.directions.posterior import (
+    Expected,
+    collect_evidence,
+    log_odds_down,
+    surface_normals,
+)
 from plane_detector.directions.temporal_filter import carried
 from plane_detector.directions.vanishing import SceneDirections, find_directions
 from plane_detector.types import CameraIntrinsics, PlaneSegmentation
@@ -57,9 +62,9 @@ class CameraImage:
     intrinsics: CameraIntrinsics  # of that image
     # (H, W) bool or None: pixels that the image covers after rectification; None: all
     covered: np.ndarray | None = None
-    # (H, W) float32 or None: 1/z without a shift; NaN invalid. Its normals are evidence for the
-    # vertical
+    # (H, W) float32 or None: affine in 1/z; NaN invalid. Its trend is evidence for the vertical
     disparity: np.ndarray | None = None
+    has_shift: bool = False  # of the disparity; without one, its normals are evidence, too
     stamp_s: float = float('nan')  # time of the image; NaN: not known
     is_still: bool = False  # nothing moved since the image before, as far as its depth tells
 
@@ -80,12 +85,13 @@ def find_in_image(image: CameraImage, expected: Expected | None = None,
     """
     expected = expected or Expected()
     segments = detect_line_segments(image.rgb, image.intrinsics, image.covered)
-    surface = (None if image.disparity is None
+    surface = (None if image.disparity is None or image.has_shift
                else surface_normals(image.disparity, image.intrinsics))
+    odds_down = 0.0 if image.disparity is None else log_odds_down(image.disparity)
     if before is not None:
         expected = carried(expected, before.directions, before.segments, segments)
     return ImageDirections(segments, find_directions(
-        segments, collect_evidence(segments, surface), expected))
+        segments, collect_evidence(segments, surface, odds_down), expected))
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,8 @@
 Directions of a calibrated image: the vertical and pairs of horizontal axes.
 
 1. The main mode of the posterior is fitted to its segments; the probability is that of the
-   verticals near this answer.
+   verticals near this answer. Which of the three axes is the vertical, the lines do not tell: the
+   prior does, and the surfaces of the depth.
 2. Its level lines may be those of a floor that rises: the upright lines alone tell.
 3. Its upright lines may be those of a thing that leans, a ladder or a fence: all else tells.
    What remains is the probability of the vertical.
@@ -30,7 +31,9 @@ from plane_detector.directions.posterior import (
     Expected,
     Modes,
     collect_evidence,
+    is_held,
     log_likelihood,
+    log_prior_density,
     turn_between,
     unit,
     upright_posterior,
@@ -46,6 +49,9 @@ RISING, RISES_DEG, LEVEL_DEG = 0.1, np.arange(-14.0, 15.0, 2.0), 3.0
 # probability of an answer leaves, so that upright lines alone are not enough; with other lines
 # flat from 0.05 to 0.3.
 LEANING = 0.15
+# Modes within this angle of another axis of the answer are that axis, taken for the vertical.
+# derived: two steps of the coarse grid.
+SAME_AXIS_DEG = 15.0
 # Odds that the azimuth of the image before is that of this one.
 HELD_AXES_ODDS = 100.0
 # Azimuths within this angle are the same before the fit. tuned: at 5 degrees axes of 2 of 5 Kinect
@@ -99,7 +105,8 @@ def find_directions(segments: LineSegments, evidence: Evidence | None = None,
     expected = expected or Expected()
     axes, posterior = upright_posterior(evidence, expected)
     axes = _fitted(segments, axes, (0, 1, 2)).axes
-    modes = posterior.modes(axes[0])
+    axes, share = _likely_vertical(axes, evidence, expected)
+    modes = _shared(posterior.modes(axes[0]), axes, share)
     level_share, axes, rises = _if_it_rises(axes, evidence)
     gain = _gain(segments, axes, evidence, expected)
     share = level_share * (1 - LEANING) / (1 - LEANING + LEANING * np.exp(-gain))
@@ -125,6 +132,31 @@ def find_directions(segments: LineSegments, evidence: Evidence | None = None,
     return SceneDirections(
         down, across @ covariance @ across + np.radians(SYSTEMATIC_DEG) ** 2 * across, pairs, '',
         '' if len(pairs) else refusal, probability, modes)
+
+
+def _likely_vertical(axes: np.ndarray, evidence: Evidence,
+                     expected: Expected) -> tuple[np.ndarray, float]:
+    """Return axes (3, 3) with the most likely one as the vertical, and its share of the three."""
+    if expected.down is not None:
+        return axes, 1.0
+    named = np.stack([sign * np.roll(axes, -k, axis=0) * [[1], [1], [sign]]
+                      for k in range(3) for sign in (1, -1)])
+    named = named[is_held(named[:, 0])]
+    if not len(named):
+        return axes, 1.0
+    score = log_prior_density(named[:, 0], expected, evidence, FINE_ERROR_DEG)
+    mass = np.exp(score - score.max())
+    return named[mass.argmax()], float(mass.max() / mass.sum())
+
+
+def _shared(modes: Modes, axes: np.ndarray, share: float) -> Modes:
+    """Return modes whose first one has a share of its mass and of those along another axis."""
+    along = np.abs(modes.downs @ axes[1:].T).max(1) > np.cos(np.radians(SAME_AXIS_DEG))
+    along[0] = True
+    masses, total = modes.masses.copy(), modes.masses[along].sum()
+    masses[along] *= (1 - share) * total / max(masses[along][1:].sum(), 1e-12)
+    masses[0] = share * total
+    return replace(modes, masses=masses)
 
 
 def _fitted(segments: LineSegments, axes: np.ndarray, used: tuple[int, ...]) -> FrameFit:

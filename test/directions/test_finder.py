@@ -2,16 +2,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tests of the directions of consecutive images."""
 
+import cv2
 import numpy as np
 import pytest
 
 from plane_detector.config import Config
 from plane_detector.directions.finder import CameraImage, DirectionFinder, find_in_image
 from plane_detector.evaluation.scenes.rooms import attic, hexagon_room, random_room
-from plane_detector.evaluation.scenes.textures import rolled_room, textured
+from plane_detector.evaluation.scenes.textures import rolled_room, room_from_above, textured
+from plane_detector.types import CameraIntrinsics
 
 IMAGES, GREY_LEVELS = 12, 5.0
 FLICKER_DEG = 0.5
+CAMERA = CameraIntrinsics.from_field_of_view(640, 480, 60.0)
 
 
 @pytest.mark.parametrize(('make', 'seed'), [
@@ -36,3 +39,42 @@ def test_the_slopes_of_a_roof_do_not_outvote_floor_and_gable(seed):
     image = CameraImage(scene.rgb, scene.intrinsics, disparity=1 / scene.depth_m)
     found = find_in_image(image).directions
     assert found.gravity_camera @ scene.gravity_camera > np.cos(np.radians(1.0))
+
+
+def tiles(roll_deg):
+    """Return a tiled surface parallel to the image plane, (480, 640, 3) uint8."""
+    v, u = np.mgrid[:480, :640]
+    angle = np.radians(roll_deg)
+    x, y = np.cos(angle) * u + np.sin(angle) * v, np.cos(angle) * v - np.sin(angle) * u
+    grey = ((x // 80 + y // 80) % 2 * 90 + 80).astype(np.uint8)
+    return np.repeat(cv2.GaussianBlur(grey, (5, 5), 1)[..., None], 3, axis=2)
+
+
+@pytest.mark.parametrize('has_depth', [False, True])
+@pytest.mark.parametrize('roll_deg', [0, 5, 15])
+def test_a_table_from_above_is_not_surely_a_wall(roll_deg, has_depth):
+    disparity = np.full((480, 640), 1.25, np.float32) if has_depth else None
+    found = find_in_image(CameraImage(tiles(roll_deg), CAMERA, disparity=disparity)).directions
+    assert found.gravity_camera is None or found.gravity_camera[2] > np.cos(np.radians(5))
+    assert (found.modes.downs[:, 2] > np.cos(np.radians(5))).any()
+
+
+def test_a_camera_that_looks_straight_down_is_found_at_any_azimuth():
+    found = find_in_image(CameraImage(tiles(45), CAMERA)).directions
+    assert found.gravity_camera[2] > np.cos(np.radians(5))
+    wrong = right = 0
+    for seed in range(300, 308):
+        scene = textured(room_from_above, seed)
+        image = CameraImage(scene.rgb, scene.intrinsics, disparity=1 / scene.depth_m)
+        down = find_in_image(image).directions.gravity_camera
+        if down is not None:
+            is_right = down @ scene.gravity_camera > np.cos(np.radians(5))
+            right, wrong = right + is_right, wrong + (not is_right)
+    assert (right >= 4, wrong) == (True, 0)
+
+
+def test_a_wall_ahead_with_a_floor_is_still_a_wall():
+    scene = textured(random_room, 2007)  # most of it is within ten degrees of the image plane
+    image = CameraImage(scene.rgb, scene.intrinsics, disparity=1 / scene.depth_m)
+    found = find_in_image(image).directions
+    assert found.gravity_camera @ scene.gravity_camera > np.cos(np.radians(2))

@@ -102,7 +102,7 @@ def test_images_that_leave_it_open_are_answered_by_those_before():
 
 
 def test_a_wrong_start_is_forgotten():
-    wrong = turn(0, 0, 20)
+    wrong = turn(0, 0, 12)
     images = [room(wrong, seed=k) for k in range(5)] + [room(seed=k) for k in range(5, 10)]
     assert angle_deg(walk(images[:5]).gravity_camera, wrong @ FRAME[0]) < 1
     assert angle_deg(walk(images).gravity_camera, FRAME[0]) < 1

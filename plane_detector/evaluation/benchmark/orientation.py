@@ -59,6 +59,7 @@ PLAIN = 'doors, planks and tiles'
 UPRIGHT_SINE = 0.05
 SCENES: dict[str, Callable] = {
     'rooms': rooms.random_room, 'rooms, camera rolled by 10 deg': textures.rolled_room,
+    'rooms from straight above': textures.room_from_above,
     'rooms, floor rising by 8 deg': textures.ramp_room, 'attics': rooms.attic,
     'hexagonal rooms': rooms.hexagon_room}
 WAYS = {'without': DirectionsConfig(gravity=False, orient_planes=False),

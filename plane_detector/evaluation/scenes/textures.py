@@ -54,6 +54,14 @@ def rolled_room(rng: np.random.Generator, intrinsics: CameraIntrinsics) -> Scene
     return render(rectangles, rotation @ roll, position, intrinsics, rng)
 
 
+def room_from_above(rng: np.random.Generator, intrinsics: CameraIntrinsics) -> Scene:
+    """Return a furnished room seen by a camera that looks straight down, within 8 degrees."""
+    rectangles, _, position = furnished_room(rng)
+    rotation = camera_rotation(rng.uniform(-180, 180), -90 + rng.uniform(-8, 8),
+                               rng.uniform(-8, 8))
+    return render(rectangles, rotation, [*position[:2], 2.0], intrinsics, rng)
+
+
 def ramp_room(rng: np.random.Generator, intrinsics: CameraIntrinsics) -> Scene:
     """Return a furnished room whose floor is inclined by 8 degrees, with vertical walls."""
     rectangles, rotation, position = furnished_room(rng)
