@@ -344,13 +344,28 @@ class PlaneSegmentation:
     systematic_noise: float = field(default=0.0, kw_only=True)
 
 
+OBSTACLE_DISTANCES_M = (1.0, 2.0, 3.0)
+"""How far ahead the smallest obstacle that can be seen is stated."""
+
+
 @dataclass(frozen=True)
 class GroundPixels:
-    """Where a robot may roll, and where that ends."""
+    """Where a robot may roll, what it must not hit, and where the ground ends."""
 
-    # (H, W) bool, pixels that a robot may roll on, and lower levels; nowhere if gravity, the unit
-    # or the own floor are not known.
+    # Whether gravity and the unit are known; otherwise there is nothing of all this.
+    is_known: bool = False
+    # (H, W) bool, pixels that a robot may roll on, and lower levels; nowhere if the own floor is
+    # not known.
     mask: np.ndarray = field(default_factory=lambda: np.zeros((0, 0), bool))
+    # (H, W) bool, pixels with depth that are not ground, without specks and flying pixels
+    obstacles: np.ndarray = field(default_factory=lambda: np.zeros((0, 0), bool))
+    # (H, W) float32, height of each pixel over the ground before it, and its standard deviation;
+    # NaN where depth is invalid or the own floor is not known
+    heights_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 0), np.float32))
+    height_sigmas_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 0), np.float32))
+    # (3,) float64, height of the smallest obstacle that the noise of the image lets see at
+    # OBSTACLE_DISTANCES_M; (0,) if the own floor is not known
+    smallest_obstacles_m: np.ndarray = field(default_factory=lambda: np.zeros(0))
     # (N, 3) float64, points along the edges where the ground ends and the next surface is lower,
     # and by how much, (N,); NaN where nothing is seen behind the edge.
     drops_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
@@ -392,6 +407,21 @@ class Detection(PlaneSegmentation):
     def ground(self) -> np.ndarray:
         """Pixels of the ground, (H, W) bool."""
         return self.ground_pixels.mask
+
+    @property
+    def obstacles(self) -> np.ndarray:
+        """Pixels of obstacles, (H, W) bool."""
+        return self.ground_pixels.obstacles
+
+    @property
+    def heights_m(self) -> np.ndarray:
+        """Height of each pixel over the ground before it, (H, W) float32; NaN unknown."""
+        return self.ground_pixels.heights_m
+
+    @property
+    def height_sigmas_m(self) -> np.ndarray:
+        """Standard deviation of these heights, (H, W) float32; NaN unknown."""
+        return self.ground_pixels.height_sigmas_m
 
     @property
     def drops_m(self) -> np.ndarray:

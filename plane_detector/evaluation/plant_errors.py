@@ -136,16 +136,14 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
     'ground/ground.py': (
         ('self.normals, self', '-self.normals, self', 'normals look down'),
         ('] + self.offsets[', '] - self.offsets[', 'sign of an offset'),
+        ('inverse[:, None], self', '1.0, self', 'off the plane, not along gravity'),
         ('(down[2], -1, 1)', '(down[1], -1, 1)', 'tilt about the wrong axis')),
-    'ground/columns.py': (
-        ('1, 0] * x + level[1, 1] * y + level[1',
-         '0, 0] * x + level[0, 1] * y + level[0', 'down for ahead'),
-        ('(planes[r, 1] * y + planes[r, 2]) * planes[r, 4]',
-         'planes[r, 1] * y + planes[r, 2]', 'off the plane, not along gravity'),
+    'ground/along_ways.py': (
+        ('far = z * _far(down, x, y)', 'far = z * sight', 'down for ahead'),
         ('min(-off, under)', 'min(off, under)', 'higher for lower'),
-        ('x * z, y * z, z,', 'x, y, z,', 'edges without their distance'),
-        ('(s * second + planes[a, 3]) * planes[a, 4]',
-         's * second + planes[b, 3]', 'the offset of the other plane')),
+        ('x_end * end_z[w], y_end * end_z[w]', 'x_end, y_end', 'edges without their distance'),
+        ('s * second + planes[a, 3]', 's * second + planes[b, 3]',
+         'the offset of the other plane')),
     'ros/inputs/image_decoding.py': (
         (">' if msg.is_bigendian else '<", "<' if msg.is_bigendian else '>", 'byte order'),),
     'ros/inputs/depth_decoding.py': (
@@ -170,7 +168,7 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
         ('polygon.corners_m[:1]', 'polygon.corners_m[-1:]', 'outlines that do not close'),
         ('[v, u, 1] = e * x + f * y + g * z + h',
          '[v, u, 1] = e * x + f * y + g * z + d', 'shift of the other axis in ~/points'),
-        ('~frame.detection.ground', 'frame.detection.ground | False', 'the ground as obstacle')),
+        ('found.obstacles,', 'found.mask,', 'the ground as obstacle')),
     'ros/outputs/messages.py': (
         ('(z_axes, x_axes)', '(x_axes, z_axes)', 'poses are mirrored'),)}
 

@@ -4,28 +4,36 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from plane_detector.config import Config, GroundConfig
 from plane_detector.directions.gravity_choice import COARSE_DEG, Gravity
+from plane_detector.geometry.disparity import valid_depth
 from plane_detector.geometry.projection import pixel_rays
-from plane_detector.ground.columns import (
+from plane_detector.ground.along_ways import (
     count_borders,
     first_met,
     mark_drops,
     mark_ground,
     rows_of,
 )
+from plane_detector.ground.obstacles import height_errors, mark_obstacles
+from plane_detector.ground.ways import Ways, ways_over_ground
 from plane_detector.planes.classification import (
     PlaneClass,
     are_certain,
     classify_planes,
     refine_gravity,
 )
-from plane_detector.types import CameraIntrinsics, GroundPixels, PlaneSegmentation
+from plane_detector.types import (
+    OBSTACLE_DISTANCES_M,
+    CameraIntrinsics,
+    GroundPixels,
+    PlaneSegmentation,
+)
 
 # Tuned by benchmark ground on seeds below 9000, unless derived or given by contract; nothing
 # changes there from .7 to 1.4 times a value unless stated.
@@ -43,10 +51,13 @@ ONE_FLOOR = 0.2
 LEVEL_DEG = 3.0
 # derived: steeper by the error of gravity and of the plane, a slope is still within max_slope.
 SLOPE_MARGIN_DEG = 1.0
-# derived: the floor that is nearest to the robot is in the lowest of so many parts of the image.
+# derived: the floor that is nearest to the robot is in so many parts of the image the one where
+# it looks down most steeply.
 NEAR_SHARE = 8
 # Borders are sampled at every fourth pixel; fewer samples that join are chance.
 MIN_JOINS = 3
+# Of every eighth pixel: so many tell the heights of a plane, of which this share may be off.
+MIN_SAMPLES, STRAY_SHARE = 10, 0.05
 # By contract: a level within this height of the own floor, reached by risers, is a step.
 STEP_RANGE_M = 0.5
 # An error counts as a difference beyond this many standard deviations. With 2, less of a far
@@ -56,6 +67,12 @@ SIGMAS = 3.0
 TOLD_AT_M, LARGEST_ERROR_M = 2.0, 0.3
 # A row of points along an edge is at least this long.
 MIN_EDGE_M = 0.12
+# chosen: the floor is seen if at least this share of the pixels shows it.
+SEEN_SHARE = 0.003
+# The range of a sensor is the depth, or the distance, that hardly any pixel exceeds. Ends of the
+# ground are due to it if at least this share of them is there: an edge is so only if it is
+# straight across the view.
+RANGE_QUANTILE, AT_RANGE_SHARE = 0.998, 0.5
 
 
 @dataclass(frozen=True)
@@ -109,9 +126,10 @@ class Surfaces:
         return heights, np.sqrt(np.maximum(variances, 0.0))
 
     def table(self) -> np.ndarray:
-        """Return the rows (K + 1, 5) of the compiled loops: normal, offset, 1 / upright share."""
-        upright = np.maximum(-self.normals @ self.down, 1e-6)
-        return np.column_stack([self.normals, self.offsets, 1 / upright]).astype(np.float32)
+        """Return the rows (K + 1, 5) of the compiled loops, see `along_ways`."""
+        inverse = 1 / np.maximum(-self.normals @ self.down, 1e-6)
+        return np.column_stack([self.normals * inverse[:, None], self.offsets * inverse,
+                                inverse]).astype(np.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,21 +142,60 @@ class SeenGround:
 
     depth_m: np.ndarray
     labels: np.ndarray
+    ways: Ways
     rays: tuple[np.ndarray, np.ndarray]
+    focal_px: float
     table: np.ndarray  # of `Surfaces`
     is_ground: np.ndarray  # (K + 1,) bool
-    own: int
-    down: np.ndarray
+    own: int  # -1 if no floor is seen
+    down: np.ndarray  # (3,) float32
     limits: GroundConfig
-    error: float  # of 1/z
+    sigma: float  # standard deviation of 1/z
     tells_drops: bool
+    is_known = True
 
-    @cached_property
+    @property
     def mask(self) -> np.ndarray:
         """Pixels (H, W) of the ground."""
-        return mark_ground(self.depth_m, self.labels, *self.rays, self.table, self.is_ground,
-                           self.own, level_axes(self.down), self.limits.min_height,
-                           np.tan(np.radians(self.limits.max_slope)), self.error)
+        return self._marked[0]
+
+    @property
+    def heights_m(self) -> np.ndarray:
+        """Height (H, W) float32 over the ground before each pixel; NaN unknown."""
+        return self._marked[1]
+
+    @cached_property
+    def height_sigmas_m(self) -> np.ndarray:
+        """Standard deviation (H, W) float32 of the heights; NaN unknown."""
+        if self.own < 0:
+            return self.heights_m
+        return height_errors(self.depth_m, *self.rays, self.down, self.sigma)
+
+    @property
+    def smallest_obstacles_m(self) -> np.ndarray:
+        """Height (3,) of the smallest obstacles that can be seen, by the noise of the image."""
+        if self.own < 0:
+            return np.zeros(0)
+        height_m, down_z = self.table[self.own, 3], self.down[2]
+        depths_m = np.array(OBSTACLE_DISTANCES_M) * np.sqrt(1 - down_z**2) + height_m * down_z
+        # The error of a height is |down . ray| z^2 that of 1/z, and the ray meets the floor.
+        return np.maximum(SIGMAS * self.sigma * height_m * depths_m, self.limits.min_height)
+
+    @cached_property
+    def obstacles(self) -> np.ndarray:
+        """Pixels (H, W) that are not ground, without specks and flying pixels."""
+        return mark_obstacles(self.depth_m, self.labels, self.mask, self.focal_px,
+                              SIGMAS * self.sigma)
+
+    @cached_property
+    def _marked(self) -> tuple[np.ndarray, np.ndarray]:
+        if self.own < 0:
+            return (np.zeros(self.labels.shape, bool),
+                    np.full(self.labels.shape, np.nan, np.float32))
+        return mark_ground(self.depth_m, self.labels, self.ways.lines, self.ways.count,
+                           *self.rays, self.table, self.down, self.is_ground, self.own,
+                           self.limits.min_height, np.tan(np.radians(self.limits.max_slope)),
+                           SIGMAS * self.sigma)
 
     @property
     def drops_m(self) -> np.ndarray:
@@ -154,9 +211,45 @@ class SeenGround:
     def _drops(self) -> np.ndarray:
         if not self.tells_drops:
             return np.zeros((0, 5))
-        return _rows(mark_drops(self.depth_m, self.labels, self.mask, *self.rays, self.table,
-                                self.is_ground, self.own, self.down, self.limits.min_drop,
-                                self.error))
+        ends = mark_drops(self.depth_m, self.labels, self.mask, self.ways.lines, self.ways.count,
+                          *self.rays, self.table, self.down, self.is_ground, self.own,
+                          self.limits.min_drop, SIGMAS * self.sigma)
+        ends = ends[ends[:, 4] >= 0]
+        return _rows(ends[~self._at_range_limit(ends)])
+
+    def _at_range_limit(self, ends: np.ndarray) -> np.ndarray:
+        """Return which ends (N,) are where the sensor's range ends: ground would be beyond it."""
+        is_open = np.isnan(ends[:, 3])
+        if not is_open.any():
+            return is_open
+        depths = self.depth_m[::4, ::4]
+        x, y = np.meshgrid(self.rays[0][::4], self.rays[1][::4])
+        is_valid = valid_depth(depths)
+        z, stretch = depths[is_valid], np.sqrt(x * x + y * y + 1)[is_valid]
+        ends_z, ends_range = ends[:, 2], np.linalg.norm(ends[:, :3], axis=1)
+        margin = 1 + SIGMAS * self.sigma * ends_z
+        for values, last, following in ((z, ends_z, ends[:, 5]),
+                                        (z * stretch, ends_range, ends[:, 6])):
+            rank = int(RANGE_QUANTILE * (len(values) - 1))
+            at_limit = is_open & (following * margin >= np.partition(values, rank)[rank])
+            if (at_limit.sum() >= AT_RANGE_SHARE * is_open.sum()
+                    and _is_constant(last[at_limit], following[at_limit], ends[at_limit, 4])):
+                return at_limit
+        return np.zeros_like(is_open)
+
+
+def _is_constant(last: np.ndarray, following: np.ndarray, ways: np.ndarray) -> bool:
+    """
+    Return whether ground ends at the same distance, that of a range, in all ways.
+
+    An edge is nearer on one side, if it is not straight across the view. The distance is known
+    within that of the pixels ``last`` and ``following`` the end.
+    """
+    x = ways - ways.mean()
+    slope = x @ last / max(x @ x, 1.0)
+    spread = np.std(last - last.mean() - slope * x) / np.sqrt(max(x @ x, 1.0))
+    off = max(abs(slope) - SIGMAS * spread, 0.0) * np.ptp(x)
+    return off <= np.median(following - last)
 
 
 def find_ground(found: PlaneSegmentation, depth_m: np.ndarray, intrinsics: CameraIntrinsics,
@@ -187,71 +280,104 @@ def find_ground(found: PlaneSegmentation, depth_m: np.ndarray, intrinsics: Camer
 
     """
     limits, labels = config.ground, np.ascontiguousarray(found.labels, np.int32)
-    nothing = GroundPixels(np.zeros(labels.shape, bool))
+    unknown, nothing = (PlaneClass.UNKNOWN,) * len(found.planes), GroundPixels(
+        mask=np.zeros(labels.shape, bool), obstacles=np.zeros(labels.shape, bool))
     if gravity.gravity_camera is None:
-        return Ground((PlaneClass.UNKNOWN,) * len(found.planes), nothing,
-                      note='the direction of gravity is not known')
+        return Ground(unknown, nothing, note='the direction of gravity is not known')
     # 1. and 2. The direction down and the own floor.
     known_m = config.scale.camera_height if is_metric else 0.0
     depth_m, rays = np.ascontiguousarray(depth_m, np.float32), pixel_rays(intrinsics)
-    down, own = own_floor(found, labels, gravity, limits.max_slope, known_m)
+    ways = ways_over_ground(intrinsics, gravity.gravity_camera)
+    down, own = own_floor(found, labels, ways, gravity, limits.max_slope, known_m)
+    rough_m = 0.0
     if gravity.is_sure and is_metric and not known_m:
-        known_m = _rough_floor(depth_m, labels, rays, gravity.gravity_camera, limits.min_height)
-        if known_m:
-            down, own = gravity.gravity_camera, len(found.planes)
+        rough_m = _rough_floor(depth_m, labels, rays, gravity.gravity_camera, limits.min_height)
+        if rough_m:
+            known_m, down, own = rough_m, gravity.gravity_camera, len(found.planes)
     if down is None:
-        return Ground((PlaneClass.UNKNOWN,) * len(found.planes), nothing,
-                      note='the direction of gravity is known too coarsely')
-    surfaces = Surfaces.of(found, down, known_m)
+        return Ground(unknown, nothing, note='the direction of gravity is known too coarsely')
+    surfaces, down32 = Surfaces.of(found, down, known_m), down.astype(np.float32)
     tilt_deg = float(np.degrees(np.arcsin(np.clip(down[2], -1, 1))))
+    pixels = SeenGround(depth_m, labels, ways, rays, intrinsics.fx, surfaces.table(),
+                        np.zeros(len(found.planes) + 1, bool), -1, down32, limits,
+                        float(found.disparity_noise), tells_drops=False)
     if own is None:
-        return Ground(classify_planes(found.planes, down), nothing, tilt_deg=tilt_deg,
-                      note='no floor is seen')
+        note = _unseen(depth_m, rays, surfaces, known_m, config.depth.max_depth)
+        return Ground(classify_planes(found.planes, down), pixels if is_metric else nothing,
+                      tilt_deg=tilt_deg, note=note or 'no floor is seen')
     height_m = float(surfaces.heights()[own])
     unit_m = 1.0 if is_metric else height_m
-    table = surfaces.table()
     # 3. What joins it.
     walkable = surfaces.slopes_deg <= limits.max_slope + SLOPE_MARGIN_DEG
-    joins, risers = count_borders(labels, *rays, table, walkable, limits.max_step * unit_m,
-                                  STEP_RANGE_M * unit_m)
+    joins, risers, steps = count_borders(
+        labels, ways.lines, ways.count, *rays, pixels.table, down32, walkable,
+        limits.max_step * unit_m, STEP_RANGE_M * unit_m)
     above, above_error = surfaces.above(own)
+    flat = np.zeros(len(walkable), bool)
+    if walkable[:-1].any():
+        # Of a bent floor, the piece that the direction down was taken from is as inclined as any.
+        is_exact = gravity.tolerance_deg <= LEVEL_DEG and gravity.source != 'image'
+        for way_down in (down, gravity.gravity_camera)[:1 + is_exact]:
+            flat |= _are_flat(depth_m, labels, rays, way_down, surfaces.centroids[own],
+                              limits.min_height * unit_m, len(found.planes))
+        flat &= walkable
     joined, at_level, lower = _ground_planes(surfaces, own, above, above_error, walkable, joins,
-                                             limits.max_step * unit_m)
+                                             flat, steps, limits.max_step * unit_m)
+    if own == len(found.planes):  # no plane of it: its pieces are measured from its level
+        pixels.table[joined & flat] = pixels.table[own]
     classes = _classes(found, surfaces, above, joined, at_level, risers, unit_m,
                        limits.max_slope + SLOPE_MARGIN_DEG)
     if not is_metric:
         return Ground(classes, nothing, tilt_deg=tilt_deg,
                       note='the unit of depth is not known')
     # 4. and 5. Pixels and drops.
-    error = SIGMAS * float(found.disparity_noise)
-    error_m = error * TOLD_AT_M * height_m
+    error_m = SIGMAS * float(found.disparity_noise) * TOLD_AT_M * height_m
     if not doubt and error_m > LARGEST_ERROR_M:
         doubt = f'the floor {TOLD_AT_M:g} m away may be {error_m:.2f} m off'
-    pixels = SeenGround(depth_m, labels, rays, table, joined | lower, own, down, limits, error,
-                        tells_drops=not doubt)
+    if not doubt and own == len(found.planes):
+        doubt = _unseen(depth_m, rays, surfaces, known_m, config.depth.max_depth)
+    pixels = replace(pixels, is_ground=joined | lower, own=own, tells_drops=not doubt)
     return Ground(classes, pixels, height_m, tilt_deg, doubt)
 
 
-def level_axes(down: np.ndarray) -> np.ndarray:
-    """Return the directions (2, 3) down, and level in the direction of the optical axis."""
-    ahead = np.array([0.0, 0.0, 1.0]) - down[2] * down
-    return np.array([down, ahead / max(np.linalg.norm(ahead), 1e-6)], np.float32)
+def _unseen(depth_m: np.ndarray, rays: tuple[np.ndarray, np.ndarray], surfaces: Surfaces,
+            height_m: float, max_depth_m: float) -> str:
+    """Return why the level so far below the camera (0: not known) is not seen; empty if it is."""
+    depths, down = depth_m[::8, ::8], surfaces.down
+    below_m = depths * np.add.outer(rays[1][::8] * down[1] + down[2], rays[0][::8] * down[0])
+    below_m, least = below_m[valid_depth(depths)], SEEN_SHARE * depths.size
+    if below_m.size < least:
+        return f'nothing is seen: hardly any pixel has a depth up to {max_depth_m:g} m'
+    if not height_m:
+        return ''
+    if (abs(below_m - height_m) <= HEIGHT_TOLERANCE * height_m).sum() >= least:
+        return ''
+    note = f'the floor, {height_m:.2f} m below the camera, is not seen'
+    is_level = (surfaces.slopes_deg <= LEVEL_DEG)[:-1]
+    if is_level.any():  # planes are in the order of their size
+        found_m = surfaces.heights()[is_level.argmax()]
+        note += (f', but a level surface {found_m:.2f} m below it: check the unit of depth and '
+                 'the height of the camera')
+    return note
 
 
 def _rough_floor(depth_m: np.ndarray, labels: np.ndarray, rays: tuple[np.ndarray, np.ndarray],
                  down: np.ndarray, min_height: float) -> float:
     """Return the height of the camera over a floor before the robot that is no plane, else 0."""
-    near = slice(-(len(labels) // NEAR_SHARE), None, 4)
-    sight = np.add.outer(rays[1][near] * down[1] + down[2], rays[0][::4] * down[0])
-    below_m = depth_m[near, ::4] * sight
-    is_rough = np.isfinite(below_m) & (labels[near, ::4] < 0)
-    if 2 * is_rough.sum() <= np.isfinite(below_m).sum():
+    x, y = np.meshgrid(rays[0][::8], rays[1][::8])
+    sight = down[0] * x + down[1] * y + down[2]
+    steepness, rank = sight / np.sqrt(x * x + y * y + 1), sight.size - sight.size // NEAR_SHARE
+    is_near = steepness >= np.partition(steepness, rank, axis=None)[rank]
+    below_m = (depth_m[::8, ::8] * sight)[is_near]
+    is_rough = np.isfinite(below_m) & (labels[::8, ::8][is_near] < 0)
+    # Something alone in an empty image is no floor.
+    if 2 * is_rough.sum() <= np.isfinite(below_m).sum() or 4 * is_rough.sum() < is_near.sum():
         return 0.0
     low, middle, high = np.percentile(below_m[is_rough], [10, 50, 90])
     return float(middle) if high - low <= min_height and middle > min_height else 0.0
 
 
-def own_floor(found: PlaneSegmentation, labels: np.ndarray, gravity: Gravity,
+def own_floor(found: PlaneSegmentation, labels: np.ndarray, ways: Ways, gravity: Gravity,
               max_slope_deg: float, known_height_m: float
               ) -> tuple[np.ndarray | None, int | None]:
     """
@@ -280,8 +406,8 @@ def own_floor(found: PlaneSegmentation, labels: np.ndarray, gravity: Gravity,
         off_m = abs(surfaces.heights() - known_height_m)
         possible &= off_m <= HEIGHT_TOLERANCE * known_height_m + rise_m
     possible[-1] = False
-    own = _nearest_floor(first_met(labels, possible), surfaces.heights(), labels.shape[1],
-                         known_height_m > 0)
+    own = _nearest_floor(first_met(labels, ways.lines, ways.count, possible),
+                         surfaces.heights(), ways.count, known_height_m > 0)
     if own is None:
         return (None if is_coarse and refined is None else down,
                 len(planes) if known_height_m > 0 else None)
@@ -290,7 +416,7 @@ def own_floor(found: PlaneSegmentation, labels: np.ndarray, gravity: Gravity,
     return down, own
 
 
-def _nearest_floor(votes: np.ndarray, heights_m: np.ndarray, width: int,
+def _nearest_floor(votes: np.ndarray, heights_m: np.ndarray, ways: int,
                    is_known: bool) -> int | None:
     """
     Return which plane reaches nearest to the robot, by the columns that meet each first.
@@ -300,7 +426,7 @@ def _nearest_floor(votes: np.ndarray, heights_m: np.ndarray, width: int,
     """
     if not votes.any():
         return None
-    columns = len(range(0, width, 4))
+    columns = len(range(0, ways, 4))
     if is_known or votes.max() >= MAJORITY * columns:
         return int(votes.argmax())
     is_met = votes >= min(FEW_COLUMNS * columns, votes.max())
@@ -310,9 +436,15 @@ def _nearest_floor(votes: np.ndarray, heights_m: np.ndarray, width: int,
 
 
 def _ground_planes(surfaces: Surfaces, own: int, above: np.ndarray, error: np.ndarray,
-                   walkable: np.ndarray, joins: np.ndarray, max_step: float
+                   walkable: np.ndarray, joins: np.ndarray, flat: np.ndarray,
+                   steps: np.ndarray, max_step: float
                    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the planes (K + 1,) that join the own floor, those at its level, and lower ones."""
+    """
+    Return the planes (K + 1,) that join the own floor, those at its level, and lower ones.
+
+    Those that are ``flat`` are nowhere off its level by as much as an obstacle: pieces of it as a
+    sensor bends it, unless steps lead to them.
+    """
     is_level = abs(surfaces.slopes_deg - surfaces.slopes_deg[own]) <= LEVEL_DEG
     # The error of a plane makes no step of what is level, nor hides a step of half as much again.
     at_level = walkable & is_level & (
@@ -321,9 +453,21 @@ def _ground_planes(surfaces: Surfaces, own: int, above: np.ndarray, error: np.nd
     joined, linked = at_level.copy(), joins >= MIN_JOINS
     while True:
         more = joined | (walkable & linked[joined].any(axis=0))
+        more |= flat & ~(steps[joined] >= MIN_JOINS).any(axis=0)
         if (more == joined).all():
-            return joined, at_level, walkable & ~joined & (above < -max_step)
+            return joined, at_level | joined & flat, walkable & ~joined & (above < -max_step)
         joined = more
+
+
+def _are_flat(depth_m: np.ndarray, labels: np.ndarray, rays: tuple[np.ndarray, np.ndarray],
+              down: np.ndarray, point_m: np.ndarray, most_m: float, count: int) -> np.ndarray:
+    """Return which planes (K + 1,) are within some height of the level of a point."""
+    sight = np.add.outer(rays[1][::8] * down[1] + down[2], rays[0][::8] * down[0])
+    kinds = np.where(labels[::8, ::8] < count, labels[::8, ::8], -1) + 1
+    is_off = abs(depth_m[::8, ::8] * sight - point_m @ down) > most_m
+    pixels, off = (np.bincount(kinds[which], minlength=count + 1)[1:]
+                   for which in (kinds > 0, is_off & (kinds > 0)))
+    return np.append((pixels >= MIN_SAMPLES) & (off <= STRAY_SHARE * pixels), False)
 
 
 def _classes(found: PlaneSegmentation, surfaces: Surfaces, above: np.ndarray, joined: np.ndarray,

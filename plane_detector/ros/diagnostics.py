@@ -8,6 +8,7 @@ A sentence is logged too when it changes, and names the remedy.
 
 from __future__ import annotations
 
+import re
 import threading
 import time
 from collections import defaultdict
@@ -23,7 +24,7 @@ from plane_detector.ros.outputs.frame import DetectedFrame
 from plane_detector.ros.outputs.markers import plane_name
 from plane_detector.ros.qos import overriding_options
 from plane_detector.scale.estimate import RELATIVE
-from plane_detector.types import Detection
+from plane_detector.types import OBSTACLE_DISTANCES_M, Detection
 
 HARDWARE_ID = 'plane_detector'
 """Hardware id of all statuses of this package, by which viewers group them."""
@@ -35,9 +36,10 @@ _PERIOD_S = 1.0
 LARGE_PX = 2500
 REDUCED_PX = 1280
 """Longer side that is advised for larger images."""
+_NUMBER = re.compile(r'-?\d+(\.\d+)?')
 # Smaller differences are those of the clocks.
 _TOLERANCE = 1.1
-FLOORLESS = 'points_without_floor'
+POINTS_WITHOUT_FLOOR, DROPS = 'points_without_floor', 'drops'
 GRAVITY_SOURCES = 'scale.gravity, use_imu with an IMU, or base_frame'
 
 
@@ -171,11 +173,10 @@ class Health:
         if detection.scale_event:
             self._logger.info(detection.scale_event)
         before, self._gap = self._gap, gap_of(detection, wanted)
-        if self._gap not in self._told and self._gap:
-            self._told.add(self._gap)
-            self._logger.warning(self._gap)
-        elif before and not self._gap and f'after {before}' not in self._told:
-            self._told.add(f'after {before}')
+        if self._gap:  # numbers in it vary from frame to frame
+            self.tell_once(_NUMBER.sub('', self._gap), self._gap)
+        elif before and (after := f'after {_NUMBER.sub("", before)}') not in self._told:
+            self._told.add(after)
             self._logger.info(f'no longer: {before.partition(":")[0]}')
 
     def tell_once(self, key: str, warning: str) -> None:
@@ -222,6 +223,10 @@ def _facts_of(detection: Detection) -> dict[str, str]:
         facts['camera_height_m'] = f'{detection.camera_height_m:.3f}'
     if detection.tilt_deg == detection.tilt_deg:
         facts['camera_tilt_deg'] = f'{detection.tilt_deg:.1f}'
+    if (smallest_m := detection.ground_pixels.smallest_obstacles_m).size:
+        facts['smallest_obstacle_m'] = ', '.join(
+            f'{height_m:.3f} at {ahead_m:g} m'
+            for ahead_m, height_m in zip(OBSTACLE_DISTANCES_M, smallest_m, strict=True))
     facts['drops'] = (f'none told: {detection.drop_note}' if detection.drop_note
                       else f'{len(detection.drops_m)} points')
     return facts
@@ -229,25 +234,27 @@ def _facts_of(detection: Detection) -> dict[str, str]:
 
 def gap_of(detection: Detection, wanted: Collection[str]) -> str:
     """
-    Return what a frame lacks for classes and obstacles, and the remedy; empty if nothing.
+    Return what a frame lacks for classes, obstacles and drops, and the remedy; empty if nothing.
 
     ``wanted`` are the names of the outputs that have subscribers.
     """
-    if not detection.planes:
-        return ''
-    lost = f', and ~/{FLOORLESS} is silent' if FLOORLESS in wanted else ''
-    is_relative = detection.scale_method == RELATIVE
-    if any(detection.classes):
-        if is_relative and lost:
-            return (f'~/{FLOORLESS} is silent: the unit of depth is not known '
-                    f'({detection.scale_note})')
+    if detection.ground_pixels.is_known:
+        is_silent = detection.drop_note and DROPS in wanted
+        return f'~/{DROPS} is silent: {detection.drop_note}' if is_silent else ''
+    lost, is_relative = POINTS_WITHOUT_FLOOR in wanted, detection.scale_method == RELATIVE
+    if any(detection.classes):  # gravity is known, the unit is not
+        return (f'~/{POINTS_WITHOUT_FLOOR} is silent: the unit of depth is not known '
+                f'({detection.scale_note})' if lost else '')
+    silent = f'~/{POINTS_WITHOUT_FLOOR} is silent'
+    if detection.planes:
+        silent = 'planes have no class' + (f', and {silent}' if lost else '')
+    elif not lost:
         return ''
     if is_relative:
-        return (f'planes have no class{lost}: neither metres nor gravity are known; give '
-                f'scale.camera_height and {GRAVITY_SOURCES}')
+        return (f'{silent}: neither metres nor gravity are known; give scale.camera_height and '
+                f'{GRAVITY_SOURCES}')
     by_image = f' ({detection.gravity_note})' if detection.gravity_note else ''
-    return (f'planes have no class{lost}: the direction of gravity is not known{by_image}; give '
-            f'{GRAVITY_SOURCES}')
+    return f'{silent}: the direction of gravity is not known{by_image}; give {GRAVITY_SOURCES}'
 
 
 def slow_network(report: Report, advise: Callable[[float], str]) -> str:

@@ -75,6 +75,15 @@ def plane(index: int) -> Plane:
                  plane_class=CLASSES[index], label=TRACKS[index], merged=MERGED[index])
 
 
+def ground_pixels(labels: np.ndarray) -> GroundPixels:
+    """Return the floor; heights are numbers of pixels, and all but the ball is an obstacle."""
+    numbers = np.arange(labels.size, dtype=np.float32).reshape(labels.shape)
+    return GroundPixels(
+        True, labels == FLOOR, (labels != FLOOR) & (labels != BALL), numbers, numbers / 8,
+        drops_m=np.array([[0.5, 1.0, 2.0], [0.6, 1.0, 2.0]]),
+        drop_depths_m=np.array([0.25, np.nan]))
+
+
 def detection(**changes) -> Detection:
     depth_m, labels = depth_and_labels()
     is_ball = labels == BALL
@@ -83,9 +92,8 @@ def detection(**changes) -> Detection:
     values = {'planes': Planes.of([plane(WALL), plane(FLOOR)]),
               'labels': np.where(is_ball, NOTHING, labels), 'disparity_noise': 0.0,
               'depth_m': depth_m, 'scale_method': 'metric', 'shapes': (ball,),
-              'shape_labels': np.where(is_ball, 0, NOTHING), 'ground_pixels': GroundPixels(
-                  labels == FLOOR, np.array([[0.5, 1.0, 2.0], [0.6, 1.0, 2.0]]),
-                  np.array([0.25, np.nan])), **changes}
+              'shape_labels': np.where(is_ball, 0, NOTHING),
+              'ground_pixels': ground_pixels(labels), **changes}
     return Detection(**values)
 
 

@@ -22,10 +22,11 @@ from plane_detector.depth.observation import DepthFunction
 from plane_detector.evaluation.scenes.rooms import random_room
 from plane_detector.evaluation.scenes.textures import textured
 from plane_detector.geometry.rigid_transform import RigidTransform
-from plane_detector.ros.diagnostics import FLOORLESS, Health, Report, gap_of
+from plane_detector.ros.diagnostics import DROPS, POINTS_WITHOUT_FLOOR, Health, Report, gap_of
 from plane_detector.ros.frame_worker import ANSWERED_WITHIN_S, MOST_CALLS, FrameRequests
 from plane_detector.ros.inputs.topic_watch import ArrivalCount, explain_silence
 from plane_detector.ros.inputs.transforms import FrameTransforms, TransformBuffer
+from plane_detector.types import GroundPixels
 
 
 def test_depth_with_other_stamps_is_told_with_the_difference_and_mended_live(robot, room):
@@ -376,28 +377,44 @@ def test_of_many_calls_most_are_answered_at_once():
     assert not requests.add().done()
 
 
-def detection(classes, scale='metric', planes=2, gravity_note='', shape=(480, 640)):
+def detection(classes, scale='metric', planes=2, gravity_note='', shape=(480, 640), note='',
+              is_known=None):
+    is_known = any(classes) and scale != 'relative' if is_known is None else is_known
     return SimpleNamespace(labels=np.zeros(shape), planes=(None,) * planes, classes=classes,
                            scale_method=scale, scale_note='why', scale_event='',
                            gravity_source='none', gravity_note=gravity_note,
                            gravity_probability=float('nan'),
                            camera_height_m=1.25, tilt_deg=float('nan'), drops_m=(),
-                           drop_note='', disparity_noise=0.002, systematic_noise=0.001)
+                           ground_pixels=GroundPixels(is_known), drop_note=note,
+                           disparity_noise=0.002, systematic_noise=0.001)
 
 
 @pytest.mark.parametrize('found, wanted, told', [
-    (detection((1, 3)), (FLOORLESS,), ''),
-    (detection((), planes=0), (FLOORLESS,), ''),
+    (detection((1, 3)), (POINTS_WITHOUT_FLOOR,), ''),
+    (detection((), planes=0), ('planes',), ''),
+    (detection((), planes=0), (POINTS_WITHOUT_FLOOR,), 'gravity is not known'),
+    (detection((), planes=0, is_known=True), (POINTS_WITHOUT_FLOOR,), ''),
+    (detection((1, 3), note='no floor is seen'), (POINTS_WITHOUT_FLOOR,), ''),
+    (detection((1, 3), note='no floor is seen'), (DROPS,), 'drops is silent: no floor is seen'),
     (detection((0, 0)), ('planes',), 'the direction of gravity is not known'),
-    (detection((0, 0)), (FLOORLESS,), 'points_without_floor is silent'),
+    (detection((0, 0)), (POINTS_WITHOUT_FLOOR,), 'points_without_floor is silent'),
     (detection((0, 0), gravity_note='only 3 straight lines'), (), 'not known (only 3 straight'),
     (detection((0, 0), 'relative'), ('planes',), 'neither metres nor gravity'),
     (detection((1, 0), 'relative'), ('planes',), ''),
-    (detection((1, 0), 'relative'), (FLOORLESS,), 'the unit of depth is not known (why)')])
+    (detection((1, 0), 'relative'), (POINTS_WITHOUT_FLOOR,), 'unit of depth is not known (why)')])
 def test_gaps(found, wanted, told):
     gap = gap_of(found, wanted)
     assert told in gap
     assert bool(told) == bool(gap)
+
+
+def test_silent_drops_are_logged_once_though_their_numbers_vary():
+    lines = []
+    health = Health(SimpleNamespace(warning=lines.append, info=lines.append))
+    for height_m in (6.0, 6.01, 5.99):
+        health.note(detection((4, 3), note=f'a level surface {height_m:.2f} m below'), (DROPS,))
+        assert health.status(Report(3, 0, 0, 1.0), '')[0] == DiagnosticStatus.WARN
+    assert lines == ['~/drops is silent: a level surface 6.00 m below']
 
 
 def test_each_gap_is_logged_once_and_cleared_when_it_ends():

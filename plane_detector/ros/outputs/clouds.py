@@ -21,12 +21,12 @@ from plane_detector.geometry.rigid_transform import RigidTransform, quaternions
 from plane_detector.ros.outputs.frame import DetectedFrame
 from plane_detector.ros.outputs.messages import (
     DROP_DTYPE,
+    OBSTACLE_DTYPE,
     POINT_DTYPE,
     XYZ_DTYPE,
     cloud_msg,
     shape_labels,
 )
-from plane_detector.scale.estimate import RELATIVE
 
 PLANE_DTYPE = np.dtype([
     ('x', '<f4'), ('y', '<f4'), ('z', '<f4'),
@@ -60,14 +60,19 @@ def points_to_msg(frame: DetectedFrame) -> PointCloud2:
     return cloud_msg(frame.target_header, POINT_DTYPE, numbers, height, width)
 
 
-def obstacles_to_msg(frame: DetectedFrame) -> PointCloud2 | None:
-    """Return the valid points that are not ground; None while gravity or the unit is not known."""
-    return _xyz_to_msg(frame, ~frame.detection.ground) if _has_ground(frame) else None
+def points_without_floor_to_msg(frame: DetectedFrame) -> PointCloud2 | None:
+    """Return the points of obstacles with height and sigma; None without gravity or the unit."""
+    found = frame.detection.ground_pixels
+    if not found.is_known:
+        return None
+    return _kept_to_msg(frame, OBSTACLE_DTYPE, found.obstacles,
+                        (found.heights_m, found.height_sigmas_m))
 
 
 def ground_to_msg(frame: DetectedFrame) -> PointCloud2 | None:
     """Return the points of the ground; None while gravity or the unit is not known."""
-    return _xyz_to_msg(frame, frame.detection.ground) if _has_ground(frame) else None
+    found = frame.detection.ground_pixels
+    return _kept_to_msg(frame, XYZ_DTYPE, found.mask) if found.is_known else None
 
 
 def drops_to_msg(frame: DetectedFrame) -> PointCloud2 | None:
@@ -79,16 +84,14 @@ def drops_to_msg(frame: DetectedFrame) -> PointCloud2 | None:
     return cloud_msg(frame.target_header, DROP_DTYPE, table, 1, len(table))
 
 
-def _has_ground(frame: DetectedFrame) -> bool:
-    return frame.detection.planes.classes.any() and frame.detection.scale_method != RELATIVE
-
-
-def _xyz_to_msg(frame: DetectedFrame, is_kept: np.ndarray) -> PointCloud2:
-    """Return the valid points of some pixels (H, W), unorganised, with fields x y z."""
+def _kept_to_msg(frame: DetectedFrame, dtype: np.dtype, is_kept: np.ndarray,
+                 more: Sequence[np.ndarray] = ()) -> PointCloud2:
+    """Return the valid points of some pixels (H, W), unorganised: x y z, and ``more`` of each."""
     geometry = _geometry(frame)
-    xyz_m = np.empty((geometry[0].size, 3), '<f4')
-    count = _pack_kept(geometry, _thinned(frame, is_kept, bool), xyz_m)
-    return cloud_msg(frame.target_header, XYZ_DTYPE, xyz_m[:count], 1, count)
+    table = np.empty((geometry[0].size, 3 + len(more)), '<f4')
+    values = tuple(_thinned(frame, one, np.float32) for one in more) or (geometry[0],) * 2
+    count = _pack_kept(geometry, _thinned(frame, is_kept, bool), *values, table)
+    return cloud_msg(frame.target_header, dtype, table[:count], 1, count)
 
 
 def _colours(frame: DetectedFrame) -> np.ndarray:
@@ -148,9 +151,9 @@ def _pack_points(geometry, rgb, labels, numbers, bits):
             bits[v, u, 4] = np.uint32(labels[v, u])
 
 
-@kernel(f'int64({_GEOMETRY}, {_MASK}, float32[:, ::1])')
-def _pack_kept(geometry, is_kept, xyz_m):
-    """Fill the first rows of (N, 3); return their number."""
+@kernel(f'int64({_GEOMETRY}, {_MASK}, {_DEPTH}, {_DEPTH}, float32[:, ::1])')
+def _pack_kept(geometry, is_kept, heights_m, sigmas_m, table):
+    """Fill the first rows of (N, 3), or of (N, 5) with height and sigma; return their number."""
     depth_m, ray_x, ray_y, moved = geometry
     (a, b, c, d), (e, f, g, h), (i, j, k, m) = _rows(moved)
     count = 0
@@ -160,9 +163,11 @@ def _pack_kept(geometry, is_kept, xyz_m):
             if not is_kept[v, u] or not (z >= MIN_DEPTH_M and z < np.inf):
                 continue
             x, y = z * ray_x[u], z * ray_y[v]
-            xyz_m[count, 0] = a * x + b * y + c * z + d
-            xyz_m[count, 1] = e * x + f * y + g * z + h
-            xyz_m[count, 2] = i * x + j * y + k * z + m
+            table[count, 0] = a * x + b * y + c * z + d
+            table[count, 1] = e * x + f * y + g * z + h
+            table[count, 2] = i * x + j * y + k * z + m
+            if table.shape[1] == 5:
+                table[count, 3], table[count, 4] = heights_m[v, u], sigmas_m[v, u]
             count += 1
     return count
 

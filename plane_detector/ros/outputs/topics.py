@@ -27,9 +27,9 @@ from plane_detector.ros.outputs.clouds import (
     boundaries_to_msg,
     drops_to_msg,
     ground_to_msg,
-    obstacles_to_msg,
     planes_to_msg,
     points_to_msg,
+    points_without_floor_to_msg,
     shapes_to_msg,
 )
 from plane_detector.ros.outputs.detections import Detection3DArray, detections_to_msg
@@ -59,7 +59,7 @@ def frame_to_json(frame: DetectedFrame) -> str:
 
 OUTPUTS: dict[str, Output] = {
     'points': Output(PointCloud2, points_to_msg),
-    'points_without_floor': Output(PointCloud2, obstacles_to_msg),
+    'points_without_floor': Output(PointCloud2, points_without_floor_to_msg),
     'ground': Output(PointCloud2, ground_to_msg),
     'drops': Output(PointCloud2, drops_to_msg),
     'planes': Output(PointCloud2, planes_to_msg),

@@ -14,7 +14,7 @@ from rclpy.parameter import Parameter, get_parameter_value, parameter_dict_from_
 from rclpy.parameter import parameter_value_to_python as value_to_python
 
 from plane_detector.config import Config, NodeConfig
-from plane_detector.ros.diagnostics import FLOORLESS
+from plane_detector.ros.diagnostics import POINTS_WITHOUT_FLOOR
 from plane_detector.ros.outputs.topics import OUTPUTS
 from plane_detector.ros.parameters import no_such_parameter, updated
 from plane_detector.settings import parameters_of
@@ -23,7 +23,7 @@ NODE_NAME = 'plane_detector'
 # The obstacles are a quarter of a bag, and their points are in ~/points too; the others repeat
 # ~/planes, and readers of bags may not know the type of detections.
 DEFAULT_OUTPUTS = tuple(name for name in OUTPUTS
-                        if name not in (FLOORLESS, 'planes_json', 'detections'))
+                        if name not in (POINTS_WITHOUT_FLOOR, 'planes_json', 'detections'))
 # Paths do not affect the content of the new bag.
 _PATHS = ('source', 'target', 'figures', 'ply', 'table')
 _OF_ROS = ('use_sim_time', 'qos_overrides.', 'start_type_description_service')

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from plane_detector.drawing import label_colours, plane_colours
 from plane_detector.ros.outputs.messages import read_cloud
 from plane_detector.ros.outputs.topics import OUTPUTS
-from plane_detector.types import NO_PLANES, Detection, ShapeType
+from plane_detector.types import NO_PLANES, Detection, GroundPixels, ShapeType
 
 BOTH_FRAMES = pytest.mark.parametrize('to_target', [None, scene.TARGET], ids=['camera', 'target'])
 PIXEL_LABELS = np.vectorize(scene.MESSAGE_LABELS.get)(scene.depth_and_labels()[1])
@@ -73,11 +73,26 @@ def test_points_have_the_colours_of_their_planes_or_these_mixed_with_the_image()
 def test_points_without_floor(to_target, step):
     msg = make('points_without_floor', to_target=to_target, points_decimation=step)
     kept = (slice(None, None, step),) * 2
-    all_m, is_floor = scene.points()[kept], (scene.depth_and_labels()[1] == scene.FLOOR)[kept]
-    expected_m = moved(all_m[np.isfinite(all_m[..., 2]) & ~is_floor], to_target)
+    all_m, labels = scene.points()[kept], scene.depth_and_labels()[1]
+    is_obstacle = ((labels != scene.FLOOR) & (labels != scene.BALL))[kept]
+    is_obstacle &= np.isfinite(all_m[..., 2])
+    expected_m = moved(all_m[is_obstacle], to_target)
     assert (msg.height, msg.width, msg.is_dense) == (1, len(expected_m), True)
     assert has_frame_of(msg, to_target)
-    np.testing.assert_allclose(xyz(cloud_array(msg)[0]), expected_m, atol=2e-6)
+    (table,) = cloud_array(msg)
+    assert table.dtype.names == ('x', 'y', 'z', 'height', 'sigma')
+    np.testing.assert_allclose(xyz(table), expected_m, atol=2e-6)
+    heights = np.arange(labels.size).reshape(labels.shape)[kept][is_obstacle]
+    np.testing.assert_array_equal(table['height'], heights)
+    np.testing.assert_array_equal(table['sigma'], heights / 8)
+
+
+def test_obstacles_need_no_plane_but_gravity_and_the_unit():
+    alone = scene.detection(planes=NO_PLANES)
+    assert make('points_without_floor', found=alone).width > 0
+    unknown = replace(alone, ground_pixels=GroundPixels(False, alone.ground, alone.obstacles))
+    assert make('points_without_floor', found=unknown) is None
+    assert make('ground', found=unknown) is None
 
 
 @BOTH_FRAMES

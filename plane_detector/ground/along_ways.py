@@ -1,0 +1,410 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Compiled loops along the ways of an image (`ways`), from the nearest line on: away from the robot.
+
+A plane is a row of five numbers: normal and offset, both divided by the share of the normal that
+is vertical, and the inverse of that share. With s = normal . ray, a pixel of depth z is
+s z + offset above it along gravity, and the ray meets it at z = -offset / s. An error e of 1/z is
+an error s z z e of the height. ``down`` is a row of three numbers: the direction of gravity.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from plane_detector.compilation import kernel
+from plane_detector.geometry.disparity import MIN_DEPTH_M
+from plane_detector.ground.ways import FRACTION_BITS
+
+# What follows was tuned by benchmark ground on seeds below 9000, unless derived; nothing changes
+# there from .7 to 1.4 times a value unless stated.
+# Borders of regions are right within this many pixels: so many pixels one after another are a
+# surface, and ways so far apart neighbours.
+BORDER_PX = 6
+# A wall's foot is told from the ground by its plane; this much of it is the plane's own error.
+# Flat from 0 to .014 within .0005 of the obstacles.
+FOOT_M = 0.01
+# A plane's error as a share of a pixel's: what of the noise is smooth stays. With 1, a drop of
+# 10 cm is not told beyond 3 m at a noise of .004.
+PLANE_SHARE = 0.3
+# Points of one edge are at most this far apart, and so many ways: noise hides it in some.
+EDGE_GAP_M, EDGE_GAP_PX = 0.15, 24
+# The ground should be seen this near, and this much of it, before nothing counts as a drop. The
+# first is the range asked for: at .7 of it a quarter of the ends of all is missed, at twice it
+# a view is false. The second is for depth images with a border without depth.
+VOID_NEAR_M, VOID_LENGTH_M = 3.0, 0.4
+# derived: a vertical riser leads from the near to the far level; looking down by 40 degrees, the
+# depth changes by this share of its height at most, a table's edge before the floor by more.
+RISER_DEPTH = 0.7
+# chosen: pieces of a bent floor are at most so far apart.
+BEND_GAP_M = 0.5
+# derived: the inverse of the vertical share of a normal, 5 degrees off the vertical. Heights of
+# planes are those under the camera, which say nothing of a riser between steeper ones.
+LEVEL = 1.004
+# derived: behind the rim of a pit no pixel of it can be; this share allows for depth that is
+# smeared at its edges.
+BEYOND_SHARE = 0.8
+
+_DEPTH, _LABELS = (f"Array({kind}, 2, 'C', readonly=True)" for kind in ('float32', 'int32'))
+_RAYS, _PLANES, _LINES = 'float32[::1], float32[::1]', 'float32[:, ::1]', 'int64[:, ::1]'
+
+
+@kernel(f'UniTuple(int64, 10)({_LINES}, int64)')
+def _line(lines, i):
+    """Return the numbers of a line, see `Ways`."""
+    return (lines[i, 0], lines[i, 1], lines[i, 2], lines[i, 3], lines[i, 4], lines[i, 5],
+            lines[i, 6], lines[i, 7], lines[i, 8], lines[i, 9])
+
+
+@kernel('float32(float32[:, ::1], int64, float32, float32)')
+def _depth_on(planes, k, x, y):
+    """Return the depth at which a ray meets a plane; negative or infinite if it does not."""
+    return -planes[k, 3] / (planes[k, 0] * x + planes[k, 1] * y + planes[k, 2])
+
+
+@kernel('float32(float32[::1], float32, float32)')
+def _far(down, x, y):
+    """Return how far from the point under the camera a ray is at depth 1, along the level."""
+    sight = down[0] * x + down[1] * y + down[2]
+    return np.sqrt(max(x * x + y * y + np.float32(1) - sight * sight, np.float32(0)))
+
+
+@kernel(f'int64[::1]({_LABELS}, {_LINES}, int64, boolean[::1])', is_short=True)
+def first_met(labels, lines, count, possible):
+    """Return how many of every fourth way meet each plane before any other possible one."""
+    votes, is_met = np.zeros(len(possible), np.int64), np.zeros(count, np.bool_)
+    for i in range(len(lines)):
+        u0, v0, du, dv, start, step, first, end, low, high = _line(lines, i)
+        for w in range((first + 3) // 4 * 4, end, 4):
+            if is_met[w]:
+                continue
+            a = min(max((start + w * step) >> FRACTION_BITS, low), high - 1)
+            k = labels[v0 + dv * a, u0 + du * a]
+            if 0 <= k < len(possible) and possible[k]:
+                votes[k] += 1
+                is_met[w] = True
+    return votes
+
+
+@kernel(f'UniTuple(int32[:, ::1], 3)({_LABELS}, {_LINES}, int64, {_RAYS}, {_PLANES}, '
+        'float32[::1], boolean[::1], float64, float64)', is_short=True)
+def count_borders(labels, lines, ways, ray_x, ray_y, planes, down, walkable, max_step, max_riser):
+    """
+    Return where walkable planes border on each other.
+
+    The first table (K, K) counts the samples of a border at which both have the same height, or at
+    which a riser that the robot climbs leads from one level to the other; the second those with a
+    higher riser, the third those at which one is higher than the other.
+    """
+    count = len(planes)
+    joins, risers = np.zeros((count, count), np.int32), np.zeros((count, count), np.int32)
+    steps = np.zeros((count, count), np.int32)
+    height, width = labels.shape
+    for v in range(0, height, 4):
+        for u in range(0, width, 4):
+            a = labels[v, u]
+            if a < 0 or a >= count or not walkable[a]:
+                continue
+            for direction in range(2):  # to the right, and up
+                right, up = 1 - direction, direction
+                if labels[max(v - up * BORDER_PX, 0), min(u + right * BORDER_PX, width - 1)] == a:
+                    continue
+                for step in range(1, BORDER_PX + 1):
+                    w, h = u + right * step, v - up * step
+                    if w >= width or h < 0:
+                        break
+                    b = labels[h, w]
+                    # A sliver of another region between them does not part them.
+                    if b >= 0 and b != a and b < count and walkable[b]:
+                        x, y = 0.5 * (ray_x[u] + ray_x[w]), 0.5 * (ray_y[v] + ray_y[h])
+                        first, second = (_depth_on(planes, a, x, y), _depth_on(planes, b, x, y))
+                        # Both are on one ray: the height between them, along gravity.
+                        s = planes[a, 0] * x + planes[a, 1] * y + planes[a, 2]
+                        if abs(s * second + planes[a, 3]) <= max_step and first > 0 and second > 0:
+                            joins[a, b] += 1
+                            joins[b, a] += 1
+                        break
+    last, track = np.full(ways, -1, np.int32), np.zeros(ways, np.float32)
+    for i in range(len(lines)):
+        u0, v0, du, dv, start, step, first, end, low, high = _line(lines, i)
+        if (u0 + v0) % 2:
+            continue
+        for w in range((first + 3) // 4 * 4, end, 4):
+            a = min(max((start + w * step) >> FRACTION_BITS, low), high - 1)
+            u, v = u0 + du * a, v0 + dv * a
+            k = labels[v, u]
+            if k < 0 or k >= count or not walkable[k]:
+                continue
+            z = _depth_on(planes, k, ray_x[u], ray_y[v])
+            far = z * _far(down, ray_x[u], ray_y[v])
+            j = last[w]
+            if j >= 0 and k != j:
+                up = planes[j, 3] - planes[k, 3]
+                s = planes[j, 0] * ray_x[u] + planes[j, 1] * ray_y[v] + planes[j, 2]
+                # What has no plane between them, as where a floor is bent, does not part them.
+                is_level = abs(s * z + planes[j, 3]) <= max_step
+                if far - track[w] <= BEND_GAP_M:
+                    steps[j, k] += not is_level
+                    steps[k, j] += not is_level
+                if is_level and far - track[w] <= BEND_GAP_M:
+                    joins[j, k] += 1
+                    joins[k, j] += 1
+                elif abs(up) <= max_riser and (
+                        up < 0 or abs(far - track[w]) <= max(RISER_DEPTH * up, max_step)):
+                    if abs(up) > max_step:
+                        risers[j, k] += 1
+                        risers[k, j] += 1
+                    elif max(planes[j, 4], planes[k, 4]) < LEVEL:
+                        joins[j, k] += 1
+                        joins[k, j] += 1
+            last[w], track[w] = k, far
+    return joins, risers, steps
+
+
+@kernel(f'Tuple((boolean[:, ::1], float32[:, ::1]))({_DEPTH}, {_LABELS}, {_LINES}, int64, '
+        f'{_RAYS}, {_PLANES}, float32[::1], boolean[::1], int64, float64, float64, float64)')
+def mark_ground(depth_m, labels, lines, ways, ray_x, ray_y, planes, down, is_ground, own,
+                min_height, slope, error):
+    """
+    Return the pixels (H, W) of the ground, and their height over the ground before them.
+
+    Each is measured from the plane that its way showed last. One that is on no other plane may
+    be on ground too small for a plane, as the far end of a ramp: then it is measured from a point
+    of the ground shortly before it, for the tangent ``slope`` of the steepest ground. ``error`` is
+    that of 1/z. The height is NaN where depth is not valid.
+    """
+    height, width = depth_m.shape
+    ground, heights = np.empty(height * width, np.bool_), np.empty(height * width, np.float32)
+    depths, regions = depth_m.reshape(-1), labels.reshape(-1)
+    reference = np.full(ways, own, np.int32)
+    low_m, foot, error = np.float32(min_height), np.float32(FOOT_M), np.float32(error)
+    nearest, endless, zero = np.float32(MIN_DEPTH_M), np.float32(np.inf), np.float32(0)
+    # Of each way: the pixel in which it was last on a plane of the ground, until one is measured
+    # from it; then how far below the camera and ahead of it that is; whether an obstacle is
+    # between: the ground behind may be level, but is not seen to rise or fall.
+    last_seen = np.full(ways, -1, np.int32)
+    below, ahead = np.full(ways, np.nan, np.float32), np.zeros(ways, np.float32)
+    is_hidden = np.zeros(ways, np.bool_)
+    slope = np.float32(slope)
+    interval = low_m / max(slope, np.float32(1e-3))
+    count = np.uint32(len(is_ground) - 1)
+    dx, dy = ray_x[min(1, width - 1)] - ray_x[0], ray_y[min(1, height - 1)] - ray_y[0]
+    for i in range(len(lines)):
+        u0, v0, du, dv, start, step, w, _, low, high = _line(lines, i)
+        following, is_dense = start + (w + 1) * step, step < 1 << FRACTION_BITS
+        origin, stride = v0 * width + u0, dv * width + du
+        x0, x_step, y0, y_step = ray_x[u0], du * dx, ray_y[v0], dv * dy
+        last, slant, s0, d = np.int64(-1), zero, zero, zero
+        for at in range(low, high):
+            while following >> FRACTION_BITS <= at:
+                w += 1
+                following += step
+            p = np.uint64(origin + stride * at)
+            z, k = depths[p], np.uint32(regions[p])
+            if not nearest <= z < endless:
+                heights[p], ground[p] = np.nan, False
+            else:
+                on_plane = k < count
+                belongs = on_plane and is_ground[k]
+                r = np.int64(k) if belongs else np.int64(reference[w])
+                if r != last:  # along the line, the height of depth 1 is s0 + slant at
+                    s0 = planes[r, 0] * x0 + planes[r, 1] * y0 + planes[r, 2]
+                    slant = planes[r, 0] * x_step + planes[r, 1] * y_step
+                    d, last = planes[r, 3], r
+                s = s0 + slant * np.float32(at)
+                h = s * z + d
+                off = abs(h)
+                heights[p] = h
+                # A plane that is no ground was told from it by all its pixels.
+                near = (off <= (foot if on_plane and not belongs else low_m)
+                        or off <= abs(s) * z * z * error)
+                if near and belongs:
+                    ground[p], is_hidden[w] = True, False
+                    reference[w], last_seen[w] = k, p
+                elif on_plane and not belongs:
+                    ground[p] = near
+                    is_hidden[w] |= not near
+                else:
+                    if last_seen[w] >= 0:
+                        v, u = last_seen[w] // width, last_seen[w] % width
+                        z_last = _depth_on(planes, reference[w], ray_x[u], ray_y[v])
+                        below[w] = z_last * (down[0] * ray_x[u] + down[1] * ray_y[v] + down[2])
+                        ahead[w] = z_last * _far(down, ray_x[u], ray_y[v])
+                        last_seen[w] = -1
+                    x, y = x0 + x_step * np.float32(at), y0 + y_step * np.float32(at)
+                    sight = down[0] * x + down[1] * y + down[2]
+                    far = z * _far(down, x, y)
+                    # The way is at least so long: the error of a wall's depth leads nowhere.
+                    way = zero if is_hidden[w] else far - ahead[w] - z * z * error
+                    rise = abs(z * sight - below[w])
+                    steepest = min(max(low_m, slope * way), 2 * low_m)
+                    ground[p] = (near or rise <= steepest or rise <= abs(sight) * z * z * error)
+                    if not ground[p]:
+                        is_hidden[w] = True
+                    elif way >= interval:
+                        below[w], ahead[w] = z * sight, far
+            if is_dense:  # the other ways in this pixel
+                while following >> FRACTION_BITS <= at:
+                    following += step
+                    reference[w + 1], is_hidden[w + 1] = reference[w], is_hidden[w]
+                    last_seen[w + 1] = last_seen[w]
+                    below[w + 1], ahead[w + 1] = below[w], ahead[w]
+                    w += 1
+    return ground.reshape(height, width), heights.reshape(height, width)
+
+
+@kernel(f'float64[:, ::1]({_DEPTH}, {_LABELS}, boolean[:, ::1], {_LINES}, int64, {_RAYS}, '
+        f'{_PLANES}, float32[::1], boolean[::1], int64, float64, float64)')
+def mark_drops(depth_m, labels, ground, lines, ways, ray_x, ray_y, planes, down, is_ground, own,
+               min_drop, error):
+    """
+    Return the ends of the ground with a lower surface behind, (N, 7), by every second way.
+
+    Columns are x y z, the drop, the way, and depth and range at which the ground would have been
+    seen next. The drop is NaN where nothing is seen behind the end. Metres.
+    """
+    found, count, planes_count = np.empty((2 * ways, 7)), 0, len(is_ground) - 1
+    # Of each way: where the ground was seen last, on which plane and how deep; then how many
+    # pixels are lower, and how many neither that nor ground.
+    end, end_k = np.full(ways, -1, np.int32), np.full(ways, -1, np.int32)
+    end_z, drop = np.zeros(ways), np.zeros(ways)
+    lower, mixed = np.zeros(ways, np.int32), np.zeros(ways, np.int32)
+    # The drop that was found last, its plane, the lines on which it was seen; the last line.
+    pending, pending_k = np.full(ways, -1, np.int32), np.zeros(ways, np.int32)
+    pending_end, way_end = np.zeros(ways, np.int32), np.zeros(ways, np.int32)
+    for i in range(len(lines)):
+        u0, v0, du, dv, start, step, first, last, low, high = _line(lines, i)
+        for w in range((first + 1) // 2 * 2, last, 2):
+            a = min(max((start + w * step) >> FRACTION_BITS, low), high - 1)
+            u, v = u0 + du * a, v0 + dv * a
+            way_end[w] = i
+            k = labels[v, u]
+            if k >= 0 and k == end_k[w] and ground[v, u]:
+                end[w], end_z[w], lower[w], mixed[w] = i, 0.0, 0, 0
+                continue
+            z = np.float64(depth_m[v, u])
+            if not (z >= MIN_DEPTH_M and z < np.inf):
+                continue
+            x, y, e, on_plane = ray_x[u], ray_y[v], end_k[w], 0 <= k < planes_count
+            if e >= 0 and k < 0 and ground[v, u]:
+                end[w], end_z[w], lower[w] = i, z, 0
+                continue
+            if e >= 0:
+                x_end, y_end = _ray_at(lines, end[w], w, ray_x, ray_y)
+                if end_z[w] == 0.0:
+                    end_z[w] = _depth_on(planes, e, x_end, y_end)
+                s = planes[e, 0] * x + planes[e, 1] * y + planes[e, 2]
+                margin = abs(s) * z * z * error
+                if on_plane:
+                    z_plane = np.float64(_depth_on(planes, k, x, y))
+                    if abs(1 / z_plane - 1 / z) <= error:  # it is more exact than a pixel
+                        z, margin = z_plane, PLANE_SHARE * margin
+                off = s * z + planes[e, 3]
+                # Behind the upper end of a ramp, all is lower than the ramp would be.
+                under = z * (x * down[0] + y * down[1] + down[2]) - end_z[w] * (
+                    x_end * down[0] + y_end * down[1] + down[2])
+                if min(-off, under) > min_drop + margin and z > end_z[w]:
+                    lower[w] += 1
+                    drop[w] = under if lower[w] == 1 else max(drop[w], under)
+                    if lower[w] < BORDER_PX:
+                        continue
+                    if count < len(found):
+                        row = found[count]
+                        row[0], row[1], row[2] = x_end * end_z[w], y_end * end_z[w], end_z[w]
+                        row[3], row[4], row[5], row[6] = drop[w], w, 0.0, 0.0
+                        pending[w], pending_k[w], pending_end[w] = count, e, end[w]
+                        count += 1
+                    end_k[w] = -1
+                elif off > min_drop or (on_plane and is_ground[k] and ground[v, u]):
+                    end_k[w] = -1  # an obstacle hides what is behind, or ground goes on
+                else:
+                    mixed[w] += 1
+                    lower[w] = 0
+                    if mixed[w] > BORDER_PX:
+                        end_k[w] = -1
+            if end_k[w] < 0 and ground[v, u]:
+                if on_plane and is_ground[k]:
+                    end[w], end_k[w], end_z[w], lower[w], mixed[w] = i, k, 0.0, 0, 0
+                elif k < 0 and own == planes_count:  # the own floor is no plane
+                    end[w], end_k[w], end_z[w], lower[w], mixed[w] = i, own, z, 0, 0
+                if pending[w] >= 0 and end_k[w] >= 0:
+                    e = pending_k[w]
+                    s = planes[e, 0] * x + planes[e, 1] * y + planes[e, 2]
+                    # At the level before the drop, beyond doubt.
+                    off = abs(s * z + planes[e, 3]) + abs(s) * z * z * error
+                    if off <= 0.5 * found[pending[w], 3]:
+                        if _is_reflection(depth_m, lines, pending_end[w], i, w, ray_x, ray_y,
+                                          planes, down, e, z, min_drop, error):
+                            found[pending[w], 4] = -1
+                        pending[w] = -1
+    for w in range(0, ways, 2):
+        e = end_k[w]
+        if e < 0 or lower[w] > 0 or end[w] == way_end[w] or count == len(found):
+            continue
+        x_end, y_end = _ray_at(lines, end[w], w, ray_x, ray_y)
+        x, y = _ray_at(lines, way_end[w], w, ray_x, ray_y)
+        z, z_end = np.float64(_depth_on(planes, e, x, y)), end_z[w]
+        if z_end == 0.0:
+            z_end = _depth_on(planes, e, x_end, y_end)
+        near = z_end * _far(down, x_end, y_end)
+        if near <= VOID_NEAR_M and (z < 0 or z * _far(down, x, y) > near + VOID_LENGTH_M):
+            row = found[count]
+            row[0], row[1], row[2], row[3], row[4] = x_end * z_end, y_end * z_end, z_end, np.nan, w
+            x, y = _ray_at(lines, end[w] + 1, w, ray_x, ray_y)
+            z = _depth_on(planes, e, x, y)
+            row[5] = z if z > 0 else np.inf
+            row[6] = row[5] * np.sqrt(x * x + y * y + 1)
+            count += 1
+    return found[:count]
+
+
+@kernel(f'UniTuple(float32, 2)({_LINES}, int64, int64, {_RAYS})')
+def _ray_at(lines, i, w, ray_x, ray_y):
+    """Return the slopes of the ray of a way on a line."""
+    a = min(max((lines[i, 4] + w * lines[i, 5]) >> FRACTION_BITS, lines[i, 8]), lines[i, 9] - 1)
+    return ray_x[lines[i, 0] + lines[i, 2] * a], ray_y[lines[i, 1] + lines[i, 3] * a]
+
+
+@kernel(f'boolean({_DEPTH}, {_LINES}, int64, int64, int64, {_RAYS}, {_PLANES}, float32[::1], '
+        'int64, float64, float64, float64)')
+def _is_reflection(depth_m, lines, first, last, w, ray_x, ray_y, planes, down, e, z_rim, min_drop,
+                   error):
+    """
+    Return whether what is lower between two lines of a way is behind the ground that follows.
+
+    Before the rim of a pit there is its bottom, and below it its wall. What would be seen behind
+    the rim, through the ground, is a reflection in it.
+    """
+    x, y = _ray_at(lines, last, w, ray_x, ray_y)
+    rim = z_rim * _far(down, x, y)
+    seen = beyond = 0
+    for i in range(first + 1, last):
+        a = (lines[i, 4] + w * lines[i, 5]) >> FRACTION_BITS
+        a = min(max(a, lines[i, 8]), lines[i, 9] - 1)
+        u, v = lines[i, 0] + lines[i, 2] * a, lines[i, 1] + lines[i, 3] * a
+        x, y, z = ray_x[u], ray_y[v], np.float64(depth_m[v, u])
+        s = planes[e, 0] * x + planes[e, 1] * y + planes[e, 2]
+        if (z >= MIN_DEPTH_M and z < np.inf
+                and -(s * z + planes[e, 3]) > min_drop + abs(s) * z * z * error):
+            seen += 1
+            beyond += z * _far(down, x, y) > rim + min_drop + z * z * error
+    return beyond >= BEYOND_SHARE * seen
+
+
+@kernel('int64[::1](float64[:, ::1])', is_short=True)
+def rows_of(drops):
+    """Return the row (N,) of each drop; they are in the order of their ways."""
+    rows, count = np.empty(len(drops), np.int64), 0
+    for i in range(len(drops)):
+        rows[i], nearest = count, EDGE_GAP_M
+        for j in range(i - 1, -1, -1):
+            if drops[i, 4] - drops[j, 4] > EDGE_GAP_PX:
+                break
+            far = np.sqrt((drops[i, 0] - drops[j, 0]) ** 2 + (drops[i, 1] - drops[j, 1]) ** 2
+                          + (drops[i, 2] - drops[j, 2]) ** 2)
+            if drops[j, 4] < drops[i, 4] and far <= nearest:
+                rows[i], nearest = rows[j], far
+        if rows[i] == count:
+            count += 1
+    return rows

@@ -1,0 +1,145 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Obstacles: what is not ground, without specks and flying pixels.
+
+1. A flying pixel is between a surface and another one behind it, where a sensor averages both: its
+   neighbours on opposite sides are nearer and farther by more than on any surface that is seen at
+   more than 10 degrees.
+2. A speck is a patch of a few pixels, as stereo matching leaves them, that floats: neither ground
+   nor the plane of an obstacle is beside it at its depth.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from plane_detector.compilation import kernel
+from plane_detector.geometry.disparity import MIN_DEPTH_M
+
+# After ScanShadowsFilter of ROS's laser_filters: a surface is seen at 10 degrees or more. Depth
+# then changes by at most the inverse tangent of the width of a pixel.
+STEEPEST = 5.67
+# chosen: sensors smear an edge over so many pixels; behind them the farther surface is seen.
+SMEAR_PX = 6
+# chosen: a floating patch of fewer pixels is a speck, as with filters of stereo matching, and so
+# is one of noise on a surface.
+SPECK_PX, NOISE_PX = 64, 6
+
+_DEPTH = "Array(float32, 2, 'C', readonly=True)"
+_LABELS = "Array(int32, 2, 'C', readonly=True)"
+
+
+@kernel('boolean(float32, float32, float32, float32)')
+def _is_beside(z, other, width, error):
+    """Return whether two depths of neighbouring pixels can be of one surface."""
+    return abs(z - other) <= max(z, other) * (width + max(z, other) * error)
+
+
+@kernel('boolean(float32, float32, float32, float32, float32, float32)')
+def _is_between(before, z, after, beyond, width, error):
+    """Return whether a pixel is far from both neighbours, one nearer and the other farther."""
+    is_sloping = before < z < after if before < after else after < z < before
+    return (is_sloping and not _is_beside(z, before, width, error)
+            and not _is_beside(z, after, width, error) and beyond >= MIN_DEPTH_M)
+
+
+@kernel(f'boolean[:, ::1]({_DEPTH}, {_LABELS}, boolean[:, ::1], float64, float64)')
+def mark_obstacles(depth_m, labels, ground, focal_px, error):
+    """Return the pixels (H, W) of obstacles; ``error`` is that of 1/z."""
+    height, width = depth_m.shape
+    found = np.zeros((height, width), np.bool_)
+    steepest, error = np.float32(STEEPEST / focal_px), np.float32(np.sqrt(2) * error)
+    nearest, endless = np.float32(MIN_DEPTH_M), np.float32(np.inf)
+    # Runs of pixels of a row that may be a speck: first and last column, the patch they belong to,
+    # by its first run, and of each patch its pixels and whether a surface is beside it.
+    most = height * (width // 4 + 1)  # what exceeds it stays an obstacle
+    begin, end = np.empty(most, np.int32), np.empty(most, np.int32)
+    parent, size = np.empty(most, np.int32), np.zeros(most, np.int32)
+    is_held = np.zeros(most, np.bool_)
+    row_of = np.zeros(height + 1, np.int32)
+    count = 0
+    for v in range(height):
+        row_of[v] = count
+        above = row_of[v - 1] if v > 0 else 0
+        is_open = False
+        for u in range(width):
+            z = depth_m[v, u]
+            if ground[v, u] or not nearest <= z < endless:
+                is_open = False
+                continue
+            if labels[v, u] >= 0:
+                found[v, u], is_open = True, False
+                continue
+            if 0 < u < width - 1:
+                before, after = depth_m[v, u - 1], depth_m[v, u + 1]
+                far = min(u + SMEAR_PX, width - 1) if after > before else max(u - SMEAR_PX, 0)
+                if _is_between(before, z, after, depth_m[v, far], steepest, error):
+                    is_open = False
+                    continue
+            if 0 < v < height - 1:
+                before, after = depth_m[v - 1, u], depth_m[v + 1, u]
+                far = min(v + SMEAR_PX, height - 1) if after > before else max(v - SMEAR_PX, 0)
+                if _is_between(before, z, after, depth_m[far, u], steepest, error):
+                    is_open = False
+                    continue
+            found[v, u] = True
+            if not (is_open and _is_beside(z, depth_m[v, u - 1], steepest, error)):
+                if count == most:
+                    is_open = False
+                    continue
+                begin[count], parent[count], is_open = u, count, True
+                count += 1
+            run = count - 1
+            end[run] = u
+            size[run] += 1
+            # Surfaces beside it, and patches above it.
+            for side in range(4):
+                du, dv = (side == 0) - (side == 1), (side == 2) - (side == 3)
+                if not (0 <= u + du < width and 0 <= v + dv < height):
+                    continue
+                other = depth_m[v + dv, u + du]
+                if ((ground[v + dv, u + du] or labels[v + dv, u + du] >= 0)
+                        and _is_beside(z, other, steepest, error)):
+                    is_held[run] = True
+            if v > 0 and found[v - 1, u] and labels[v - 1, u] < 0 and _is_beside(
+                    z, depth_m[v - 1, u], steepest, error):
+                while above < row_of[v] and end[above] < u:
+                    above += 1
+                if above < row_of[v] and begin[above] <= u:
+                    first, second = _root(parent, above), _root(parent, run)
+                    parent[max(first, second)] = min(first, second)
+    row_of[height] = count
+    for run in range(count - 1, -1, -1):
+        first = _root(parent, run)
+        if first != run:
+            size[first] += size[run]
+            is_held[first] |= is_held[run]
+    for v in range(height):
+        for run in range(row_of[v], row_of[v + 1]):
+            first = _root(parent, run)
+            if size[first] < (NOISE_PX if is_held[first] else SPECK_PX):
+                found[v, begin[run]:end[run] + 1] = False
+    return found
+
+
+@kernel('int64(int32[::1], int64)')
+def _root(parent, run):
+    """Return the first run of a patch."""
+    while parent[run] != run:
+        parent[run] = parent[parent[run]]
+        run = parent[run]
+    return run
+
+
+@kernel(f'float32[:, ::1]({_DEPTH}, float32[::1], float32[::1], float32[::1], float64)')
+def height_errors(depth_m, ray_x, ray_y, down, sigma):
+    """Return the standard deviation of the height of each pixel (H, W), for that of 1/z."""
+    errors = np.empty(depth_m.shape, np.float32)
+    a, sigma = down[0], np.float32(sigma)
+    for v in range(depth_m.shape[0]):
+        b = down[1] * ray_y[v] + down[2]
+        for u in range(depth_m.shape[1]):
+            z = depth_m[v, u]
+            errors[v, u] = abs(a * ray_x[u] + b) * z * z * sigma
+    return errors

@@ -1,0 +1,251 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""What real robots send, of each kind some variants: right, or the note says why not."""
+
+from types import SimpleNamespace
+
+import cv2
+import numpy as np
+import pytest
+
+from plane_detector import Config, PlaneDetector
+from plane_detector.config import DepthConfig, ScaleConfig
+from plane_detector.evaluation.scenes.rendering import rectangle
+from plane_detector.evaluation.scenes.terrain import Course, Kind, View, hole, look, noisy, quay
+from plane_detector.planes.classification import PlaneClass
+from plane_detector.types import CameraIntrinsics
+
+
+def course(edge_m=4.0, lower_m=0.0, half_width_m=2.2, boxes=(), ceiling_m=None):
+    """Return a hall whose floor ends at an edge; boxes are x, y, size, height of their foot."""
+    way = Course(half_width_m)
+    way.on(edge_m, 0.0, Kind.FLOOR)
+    if lower_m:
+        way.on(edge_m, -lower_m, Kind.OBSTACLE)
+        way.on(9.0, -lower_m, Kind.LOWER)
+    end_m, w = (9.0 if lower_m else edge_m), half_width_m
+    way.add([rectangle([-w, end_m, -3], [2 * w, 0, 0], [0, 0, 6]),
+             *(rectangle([x, -3, -3], [0, end_m + 3, 0], [0, 0, 6]) for x in (-w, w))],
+            Kind.OBSTACLE)
+    if ceiling_m:
+        way.add([rectangle([-w, -3, ceiling_m], [2 * w, 0, 0], [0, end_m + 3, 0])], Kind.OBSTACLE)
+    for x, y, size, *foot in boxes:
+        way.add_box(x, y, np.array(size), *foot)
+    return way
+
+
+def seen(way, height_m, pitch_deg, roll_deg=0.0, yaw_deg=0.0, is_half=False, noise=0.0):
+    """Return what a camera sees: depth, kinds, points in the world, camera, direction down."""
+    view = look(way, View(height_m, pitch_deg, roll_deg, yaw_deg), np.random.default_rng(3))
+    scene, step = view.scene, 2 if is_half else 1
+    lens = scene.intrinsics
+    if is_half:
+        lens = CameraIntrinsics(lens.fx / 2, lens.fy / 2, lens.cx / 2, lens.cy / 2,
+                                lens.width // 2, lens.height // 2)
+    depth_m = noisy(view, noise, np.random.default_rng(1))[::step, ::step].copy()
+    return SimpleNamespace(depth_m=depth_m, kinds=view.kinds[::step, ::step], lens=lens,
+                           points_m=view.points_m[::step, ::step], down=scene.gravity_camera,
+                           above_m=view.above_m[::step, ::step], in_world=view.in_world)
+
+
+def detect(view, depth_m=None, height_m=0.0, detector=None):
+    depth_m = view.depth_m if depth_m is None else depth_m
+    config = Config(depth=DepthConfig(source='topic'), scale=ScaleConfig(camera_height=height_m))
+    detector = detector or PlaneDetector(config)
+    return detector.detect(np.full((*depth_m.shape, 3), 90, np.uint8), view.lens,
+                           depth_m.astype(np.float32), view.down)
+
+
+# 1. Obstacles need no plane.
+@pytest.mark.parametrize('height_m', [0.0, 0.6])
+@pytest.mark.parametrize('radius_m, ahead_m, is_half', [(0.15, 0.5, False), (0.3, 1.2, True),
+                                                         (0.08, 0.7, False)])
+def test_a_round_thing_alone_is_an_obstacle_and_drops_are_silent(radius_m, ahead_m, is_half,
+                                                                 height_m):
+    view = seen(course(), 0.6, 0.0, is_half=is_half)
+    v, u = np.indices(view.depth_m.shape)
+    x, y = (u - view.lens.cx) / view.lens.fx, (v - view.lens.cy) / view.lens.fy
+    rays = x * x + y * y + 1
+    inside = ahead_m**2 - rays * (ahead_m**2 - radius_m**2)
+    ball_m = np.where(inside > 0, (ahead_m - np.sqrt(np.maximum(inside, 0))) / rays, np.nan)
+    found = detect(view, ball_m, height_m)
+    assert found.ground_pixels.is_known and len(found.drops_m) == 0
+    assert found.obstacles.sum() > 0.98 * np.isfinite(ball_m).sum()
+    assert 'seen' in found.drop_note
+    heights_m = found.heights_m[np.isfinite(ball_m)]
+    assert np.isnan(heights_m).all() if not height_m else abs(heights_m.mean() - 0.6) < 0.05
+
+
+# 2. Down is where gravity says.
+@pytest.mark.parametrize('height_m, pitch_deg, edge_m, lower_m, roll_deg', [
+    (1.0, 25, 1.8, 0.6, 90), (1.0, 25, 1.8, 0.6, 180), (0.5, 15, 1.2, 0.15, 270),
+    (1.0, 20, 1.6, 0.3, 50), (1.5, 60, 0.8, 0.3, 135), (1.5, 90, 0.3, 0.5, 0),
+    (2.0, 75, 0.5, 0.2, 200)])
+def test_drops_are_told_however_the_camera_is_turned(height_m, pitch_deg, edge_m, lower_m,
+                                                     roll_deg):
+    view = seen(course(edge_m, lower_m, 3.0), height_m, pitch_deg, roll_deg, noise=0.002)
+    found = detect(view)
+    is_floor = view.kinds == Kind.FLOOR
+    assert found.ground[is_floor].mean() > 0.98 and found.obstacles[is_floor].mean() < 0.005
+    assert found.camera_height_m == pytest.approx(height_m, abs=0.02)
+    drops_m = view.in_world(found.drops_m)
+    assert abs(drops_m[:, 1] - edge_m).max() < 0.05
+    edge = view.points_m[is_floor & (abs(view.points_m[..., 1] - edge_m) < 0.03)]
+    assert np.ptp(drops_m[:, 0]) > 0.85 * np.ptp(edge[:, 0])
+    assert np.median(found.drop_depths_m) == pytest.approx(lower_m, abs=0.02)
+
+
+# 4. Range is no edge.
+@pytest.mark.parametrize('limit_m, is_range, height_m, pitch_deg, roll_deg, noise', [
+    (2.0, False, 0.6, 20, 0, 0.0), (1.5, False, 0.3, 12, 4, 0.001), (3.0, True, 1.0, 25, 90, 0.0),
+    (2.5, True, 0.6, 15, -3, 0.002)])
+def test_the_range_of_a_sensor_is_no_edge(limit_m, is_range, height_m, pitch_deg, roll_deg,
+                                          noise):
+    way = course(8.0, boxes=[(0.4, 1.3, (0.2, 0.2, 0.15))])
+    view = seen(way, height_m, pitch_deg, roll_deg, noise=noise)
+    v, u = np.indices(view.depth_m.shape)
+    x, y = (u - view.lens.cx) / view.lens.fx, (v - view.lens.cy) / view.lens.fy
+    far_m = view.depth_m * (np.sqrt(x * x + y * y + 1) if is_range else 1)
+    found = detect(view, np.where(far_m > limit_m, np.nan, view.depth_m))
+    assert len(found.drops_m) == 0 and not found.drop_note
+
+
+def test_drops_within_the_range_stay():
+    view = seen(course(1.4, 0.2), 0.8, 20, noise=0.001)
+    found = detect(view, np.where(view.depth_m > 2.5, np.nan, view.depth_m))
+    assert len(found.drops_m) > 200
+    assert abs(view.in_world(found.drops_m)[:, 1] - 1.4).max() < 0.05
+
+
+@pytest.mark.parametrize('yaw_deg', [-8.0, 1.0, 3.0])
+def test_a_quay_that_is_not_straight_across_the_view_is_told(yaw_deg):
+    view = seen(quay(None, 1.7), 1.0, 22, 2, yaw_deg, noise=0.002)
+    assert len(detect(view).drops_m) > 150
+
+
+# 5. Ignorance is not "no drop".
+UNIT = 'check the unit'
+UNSEEN = {
+    'blind': (lambda d: np.full_like(d, np.nan), 0.6, 'nothing is seen'),
+    'zeros': (lambda d: 0 * d, 0.6, 'nothing is seen'),
+    'beyond max_depth': (lambda d: d + 90, 0.0, 'nothing is seen'),
+    'ten times': (lambda d: 10 * d, 0.6, UNIT),
+    'a third': (lambda d: d / 3, 0.6, UNIT),
+    'inches': (lambda d: d / 0.0254, 0.6, UNIT),
+    'millimetres as metres': (lambda d: 1000 * d, 0.6, 'nothing is seen')}
+
+
+@pytest.mark.parametrize('name', UNSEEN)
+def test_drops_are_silent_where_nothing_or_nonsense_is_seen(name):
+    change, height_m, note = UNSEEN[name]
+    view = seen(course(boxes=[(0.3, 2.0, (0.3, 0.3, 0.4))]), 0.6, 20)
+    found = detect(view, change(view.depth_m), height_m)
+    assert note in found.drop_note and len(found.drops_m) == 0
+
+
+@pytest.mark.parametrize('height_m', [0.0, 0.6])
+def test_walls_alone_tell_no_drop_and_why(height_m):
+    view = seen(course(3.0), 0.6, -25)
+    found = detect(view, height_m=height_m)
+    assert 'seen' in found.drop_note
+    assert found.obstacles.sum() > 0.99 * np.isfinite(view.depth_m).sum() > 0
+
+
+# 6. Reflections are no holes.
+@pytest.mark.parametrize('height_m, pitch_deg, roll_deg, patch, ceiling_m, noise, is_half', [
+    (0.6, 20, 0, (-0.5, 0.4, 1.2, 1.8), 2.6, 0.0, False),
+    (1.0, 30, 90, (-0.3, 0.6, 1.0, 1.6), 2.4, 0.001, False),
+    (0.4, 12, 3, (-0.8, 0.8, 0.9, 2.0), 3.0, 0.002, True),
+    (0.8, 25, 180, (0.0, 0.3, 1.1, 1.5), 2.2, 0.001, False)])
+def test_a_reflecting_floor_is_no_hole(height_m, pitch_deg, roll_deg, patch, ceiling_m, noise,
+                                       is_half):
+    view = seen(course(5.0, ceiling_m=ceiling_m), height_m, pitch_deg, roll_deg, is_half=is_half,
+                noise=noise)
+    x, y = view.points_m[..., 0], view.points_m[..., 1]
+    mirrors = ((view.kinds == Kind.FLOOR) & (x > patch[0]) & (x < patch[1]) & (y > patch[2])
+               & (y < patch[3]))
+    assert mirrors.sum() > 2000
+    mirrored_m = view.depth_m * (height_m + ceiling_m) / height_m
+    found = detect(view, np.where(mirrors, mirrored_m, view.depth_m))
+    assert len(found.drops_m) == 0 and not found.drop_note
+
+
+def test_a_pit_in_the_same_hall_is_a_hole():
+    view = seen(hole(np.random.default_rng(5), 1.3), 0.9, 25, noise=0.001)
+    assert len(detect(view).drops_m) > 20
+
+
+# 7. Bent depth.
+def bent(view, share):
+    """Return depth off by a share that grows to the corners, smoothly."""
+    v, u = np.indices(view.depth_m.shape)
+    corner = ((u - view.lens.cx)**2 + (v - view.lens.cy)**2) / (
+        view.lens.cx**2 + view.lens.cy**2)
+    return view.depth_m * (1 + share * (corner - 0.35))
+
+
+@pytest.mark.parametrize('stated', [False, True])
+@pytest.mark.parametrize('height_m, pitch_deg, share, is_half', [
+    (0.6, 20, 0.08, False), (0.6, 20, -0.08, False), (0.4, 12, 0.1, True), (0.4, 12, -0.1, False),
+    (1.0, 30, 0.05, False), (1.0, 30, -0.04, True), (0.6, 35, 0.08, False)])
+def test_a_bent_floor_stays_floor(height_m, pitch_deg, share, is_half, stated):
+    view = seen(course(5.0, boxes=[(0.3, 2.0, (0.3, 0.3, 0.4))]), height_m, pitch_deg,
+                is_half=is_half)
+    found = detect(view, bent(view, share), height_m if stated else 0.0)
+    is_floor = view.kinds == Kind.FLOOR
+    assert found.ground[is_floor].mean() > 0.998 and found.obstacles[is_floor].mean() < 0.001
+    labels = found.labels[is_floor]
+    pixels = np.bincount(labels[labels >= 0], minlength=len(found.planes))
+    floors = np.array(found.classes) == PlaneClass.FLOOR
+    assert pixels[floors].sum() > 0.95 * pixels.sum()
+    assert found.obstacles[(view.kinds == Kind.OBSTACLE) & (view.above_m > 0.08)].mean() > 0.97
+    assert len(found.drops_m) == 0
+
+
+# 8. Specks and flying pixels.
+@pytest.mark.parametrize('size_px, count, is_half, seed', [(4, 40, False, 0), (3, 60, True, 1),
+                                                            (6, 25, False, 2), (2, 200, False, 3)])
+def test_specks_in_free_space_are_no_obstacles(size_px, count, is_half, seed):
+    rng = np.random.default_rng(seed)
+    view = seen(course(5.0), 0.6, 20, is_half=is_half, noise=0.0005)
+    depth_m, is_speck = view.depth_m.copy(), np.zeros(view.depth_m.shape, bool)
+    for v, u in zip(rng.integers(0, depth_m.shape[0] - size_px, count),
+                    rng.integers(0, depth_m.shape[1] - size_px, count), strict=True):
+        there = slice(v, v + size_px), slice(u, u + size_px)
+        if not is_speck[there].any():
+            depth_m[there], is_speck[there] = rng.uniform(0.4, 0.8) * depth_m[there].min(), True
+    found = detect(view, depth_m)
+    assert found.obstacles[is_speck].mean() < 0.02
+    assert found.obstacles[(view.kinds == Kind.OBSTACLE) & ~is_speck
+                           & (view.above_m > 0.1)].mean() > 0.99
+
+
+@pytest.mark.parametrize('size_px, is_half, noise', [(5, False, 0.0), (3, True, 0.0),
+                                                      (7, False, 0.0005)])
+def test_flying_pixels_are_no_obstacles_and_things_are(size_px, is_half, noise):
+    way = course(4.5, boxes=[(-0.4, 1.5, (0.3, 0.3, 0.5)), (0.5, 2.0, (0.02, 0.02, 0.8)),
+                             (0.9, 2.2, (0.8, 0.6, 0.03), 0.7)])
+    view = seen(way, 1.0, 20, is_half=is_half, noise=noise)
+    smeared_m = cv2.blur(view.depth_m, (size_px, size_px))
+    # Between two surfaces, clearly off both.
+    low = cv2.erode(view.depth_m, np.ones((size_px, size_px)))
+    high = cv2.dilate(view.depth_m, np.ones((size_px, size_px)))
+    is_flying = np.minimum(smeared_m - low, high - smeared_m) > 0.08 * smeared_m
+    found = detect(view, smeared_m)
+    assert is_flying.sum() > 1000 and found.obstacles[is_flying].mean() < 0.1
+    is_clean = high - low < 0.02 * low
+    assert found.obstacles[is_clean & (view.kinds == Kind.OBSTACLE)
+                           & (view.above_m > 0.1)].mean() > 0.98
+
+
+@pytest.mark.parametrize('is_half', [False, True])
+@pytest.mark.parametrize('noise', [0.0, 0.001, 0.004])
+def test_a_thin_leg_and_a_small_box_are_obstacles(noise, is_half):
+    way = course(4.5, boxes=[(-0.4, 2.0, (0.02, 0.02, 0.6)), (0.4, 2.0, (0.08, 0.08, 0.08))])
+    view = seen(way, 0.6, 15, is_half=is_half, noise=noise)
+    found = detect(view)
+    for x, height_m in ((-0.4, 0.6), (0.4, 0.08)):
+        thing = ((abs(view.points_m[..., 0] - x) < 0.06) & (abs(view.points_m[..., 1] - 2) < 0.1)
+                 & (view.above_m > 0.06) & (view.kinds == Kind.OBSTACLE))
+        assert thing.sum() > 20 and found.obstacles[thing].mean() > 0.8
+        assert found.heights_m[thing].max() == pytest.approx(height_m, abs=0.03 + 8 * noise)
