@@ -134,7 +134,7 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
         ('labels=np.array(labels, np.int64)', 'labels=np.arange(1, len(labels) + 1)',
          'labels are not those of the tracks')),
     'ground/ground.py': (
-        ('self.normals, self', '-self.normals, self', 'normals look down'),
+        ('[self.normals * inv', '[-self.normals * inv', 'normals look down'),
         ('] + self.offsets[', '] - self.offsets[', 'sign of an offset'),
         ('inverse[:, None], self', '1.0, self', 'off the plane, not along gravity'),
         ('(down[2], -1, 1)', '(down[1], -1, 1)', 'tilt about the wrong axis')),
