@@ -74,6 +74,8 @@ class PlacedDetection:
     @cached_property
     def polygons(self) -> tuple[tuple[Polygon, ...], ...]:
         """Outlines of each plane, placed."""
+        if self.pose is None:
+            return self.camera_polygons
         return tuple(tuple(replace(polygon, corners_m=self.placed(polygon.corners_m))
                            for polygon in of_plane) for of_plane in self.camera_polygons)
 

@@ -17,7 +17,6 @@ from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
 from plane_detector.geometry.projection import pixel_rays
-from plane_detector.planes.outline import Polygon
 from plane_detector.ros.outputs import messages
 from plane_detector.ros.outputs.frame import DetectedFrame
 from plane_detector.scale.estimate import RELATIVE
@@ -56,18 +55,21 @@ def markers_to_msg(frame: DetectedFrame) -> MarkerArray:
     blank = Marker(header=frame.target_header,
                    lifetime=Duration(seconds=frame.settings.marker_lifetime).to_msg())
     markers = [_marker(blank, action=Marker.DELETEALL)]
-    for index in range(len(found.planes)):
-        markers += _plane_markers(frame, blank, index)
+    for plane, outlines in zip(found.planes, _outlines(frame), strict=True):
+        markers += _plane_markers(frame, blank, plane, outlines)
     return MarkerArray(markers=[*markers, *_shape_markers(frame, blank)])
 
 
-def _plane_markers(frame: DetectedFrame, blank: Marker, index: int) -> Iterator[Marker]:
-    plane = frame.detection.planes[index]
+def _plane_markers(frame: DetectedFrame, blank: Marker, plane: Plane,
+                   outlines: Sequence[list[Point]]) -> Iterator[Marker]:
     label, colour = plane.label, _colour(frame, plane.label)
     line_width_m = _LINE_WIDTH * math.hypot(*plane.centroid_m)
-    if segments := _segments(frame, frame.camera_polygons[index]):  # none if it is too narrow
+    if outlines:  # none if the plane is too narrow
+        # A strip for each outline has half the points, but a marker costs as much as 25 points.
         yield _marker(blank, ns='outline', id=label, type=Marker.LINE_LIST, color=colour,
-                      scale=Vector3(x=line_width_m), points=segments)
+                      scale=Vector3(x=line_width_m), points=[
+                          end for around in outlines for k in range(len(around))
+                          for end in (around[k - 1], around[k])])
     arrow_m = np.stack([plane.centroid_m,
                         plane.centroid_m + arrow_length_m(plane) * plane.normal])
     yield _marker(blank, ns='normal', id=label, type=Marker.ARROW, color=colour,
@@ -79,18 +81,13 @@ def _plane_markers(frame: DetectedFrame, blank: Marker, index: int) -> Iterator[
                   pose=messages.pose_msg(frame.placed(caption.position_m)))
 
 
-def _segments(frame: DetectedFrame, outlines: Sequence[Polygon]) -> list[Point]:
-    """Return both ends of each side of all outlines, lifted from their plane."""
-    if not outlines:
-        return []
-    corners_m = np.concatenate([outline.corners_m for outline in outlines])
-    corners = iter(_points(frame.placed((1 - _LIFTED_BY) * corners_m)))
-    ends = []
-    for outline in outlines:
-        around = list(islice(corners, len(outline.corners_m)))
-        for side in zip(around, [*around[1:], around[0]], strict=True):
-            ends += side
-    return ends
+def _outlines(frame: DetectedFrame) -> list[list[list[Point]]]:
+    """Return the corners of all outlines of each plane, lifted from it."""
+    corners_m = [polygon.corners_m for of_plane in frame.camera_polygons for polygon in of_plane]
+    corners = iter(_points(frame.placed(
+        (1 - _LIFTED_BY) * np.concatenate([np.zeros((0, 3)), *corners_m]))))
+    return [[list(islice(corners, len(polygon.corners_m))) for polygon in of_plane]
+            for of_plane in frame.camera_polygons]
 
 
 def _shape_markers(frame: DetectedFrame, blank: Marker) -> Iterator[Marker]:
@@ -152,7 +149,12 @@ def _colour(frame: DetectedFrame, label: int, alpha: float = 1.0) -> ColorRGBA:
 
 
 def _points(points_m: np.ndarray) -> list[Point]:
-    return [Point(x=x_m, y=y_m, z=z_m) for x_m, y_m, z_m in np.asarray(points_m).tolist()]
+    points = []
+    for x_m, y_m, z_m in np.asarray(points_m).tolist():
+        point = Point()  # given to the constructor, the numbers take twice as long
+        point.x, point.y, point.z = x_m, y_m, z_m
+        points.append(point)
+    return points
 
 
 class Caption(NamedTuple):
