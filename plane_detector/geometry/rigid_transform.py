@@ -73,6 +73,11 @@ class RigidTransform:
         return moved_m + self.translation_m.astype(points_m.dtype)
 
 
+def unit_vectors(vectors: np.ndarray) -> np.ndarray:
+    """Return vectors (..., N) with length 1; zeros stay zeros."""
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-30)
+
+
 def interpolate(before: RigidTransform, after: RigidTransform, share: float) -> RigidTransform:
     """Return the interpolated transform, linear and slerp; share 0: ``before``, 1: ``after``."""
     first, last = quaternions(np.stack([before.rotation, after.rotation]))

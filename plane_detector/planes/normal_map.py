@@ -20,6 +20,7 @@ from dataclasses import replace
 import numpy as np
 
 from plane_detector.geometry.projection import pixel_rays
+from plane_detector.geometry.rigid_transform import unit_vectors
 from plane_detector.planes.measurement import ray_plane_jacobian
 from plane_detector.planes.region_samples import MIN_COSINE
 from plane_detector.segmentation.cells.labels import count_labels
@@ -69,7 +70,7 @@ def turned_by_normals(regions: PixelRegions, prediction: Prediction,
                          for image in (regions.disparity, regions.labels))
     labels = np.where(np.isfinite(normals_camera).all(axis=-1), labels, -1)
     ray_x, ray_y = (ray[::STEP_PX] for ray in pixel_rays(intrinsics))
-    for k, own in enumerate(_unit(-coefficients @ jacobian.T)):
+    for k, own in enumerate(unit_vectors(-coefficients @ jacobian.T)):
         row, column = np.nonzero(labels == k)
         if len(row) < MIN_SAMPLES or not np.isfinite(spreads[k]):
             continue
@@ -83,12 +84,12 @@ def turned_by_normals(regions: PixelRegions, prediction: Prediction,
 
 def _average(own: np.ndarray, own_spread_rad: float, sample: np.ndarray) -> np.ndarray:
     """Return the mean of a plane's normal and of a sample (n, 3), weighted by their scatter."""
-    mapped = _unit(np.median(sample, axis=0))
+    mapped = unit_vectors(np.median(sample, axis=0))
     if own @ mapped < np.cos(np.radians(MOST_APART_DEG)):
         return own
     weight = [1 / (MIN_SPREAD_RAD**2 + spread**2) for spread in (
         own_spread_rad, _spread_rad(sample, mapped))]
-    return _unit(weight[0] * own + weight[1] * mapped)
+    return unit_vectors(weight[0] * own + weight[1] * mapped)
 
 
 def _cell_spreads(regions: PixelRegions, jacobian: np.ndarray) -> np.ndarray:
@@ -97,8 +98,8 @@ def _cell_spreads(regions: PixelRegions, jacobian: np.ndarray) -> np.ndarray:
     pixels = count_labels(grid, regions.labels, count)
     whole = (pixels == grid.moments[:, :1]) & grid.usable[:, None]
     # Not the slopes of the grid: the network's normals are included in them.
-    normals = _unit(-fit_planes(grid.moments) @ jacobian.T)
-    own = _unit(-regions.coefficients @ jacobian.T)
+    normals = unit_vectors(-fit_planes(grid.moments) @ jacobian.T)
+    own = unit_vectors(-regions.coefficients @ jacobian.T)
     return np.array([_spread_rad(normals[whole[:, k]], own[k]) for k in range(count)])
 
 
@@ -115,7 +116,3 @@ def _inverse_offset(normal: np.ndarray, rays: np.ndarray, disparity: np.ndarray)
     if np.median(cosine) < MIN_COSINE:
         return 0.0
     return float((cosine * disparity).sum() / (cosine**2).sum())
-
-
-def _unit(vectors: np.ndarray) -> np.ndarray:
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12)

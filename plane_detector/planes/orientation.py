@@ -32,6 +32,7 @@ from math import erf
 import numpy as np
 
 from plane_detector.directions.vanishing import SceneDirections
+from plane_detector.geometry.rigid_transform import unit_vectors
 from plane_detector.planes.classification import LEAST_SIGMA_RAD, TOLERANCE_DEG
 from plane_detector.planes.line_evidence import MAIN_AXES, LineEvidence
 from plane_detector.planes.region_samples import RegionSamples
@@ -159,7 +160,7 @@ def most_likely(scored: ScoredOrientations, samples: RegionSamples) -> Orientati
     variance = np.maximum(variances, hypotheses.angle_rad[every, chosen] ** 2)
     axis_variance = np.trace(scored.directions.covariance) / 2
     share = axis_variance / (axis_variance + variance)
-    normals = _unit(hypotheses.normals[every, chosen] * (1 - share)[:, None]
+    normals = unit_vectors(hypotheses.normals[every, chosen] * (1 - share)[:, None]
                     + hypotheses.normals[:, -1] * share[:, None])
     posterior = np.exp(likely - likely.max(1, keepdims=True))
     posterior /= posterior.sum(1, keepdims=True)
@@ -237,7 +238,7 @@ def _hypotheses(normals: np.ndarray, directions: SceneDirections, evidence: Line
     candidates = np.stack([*(np.broadcast_to(point, normals.shape) for point in points),
                            *across, normals], axis=1)
     length = np.linalg.norm(candidates, axis=2)
-    candidates = _unit(candidates)
+    candidates = unit_vectors(candidates)
     faces_away = (candidates[:, :-1] * rays[:, None]).sum(2) > 0
     candidates[:, :-1] *= np.where(faces_away, -1.0, 1.0)[..., None]
     cosine = (candidates * normals[:, None]).sum(2)
@@ -270,7 +271,3 @@ def _log_likelihood(hypotheses: _Hypotheses, variance: np.ndarray,
 
 
 _erf = np.vectorize(erf, otypes=[float])
-
-
-def _unit(vectors: np.ndarray) -> np.ndarray:
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12)

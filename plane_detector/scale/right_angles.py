@@ -21,6 +21,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from plane_detector.geometry.rigid_transform import unit_vectors
 from plane_detector.scale.disparity_planes import DisparityPlanes
 
 MAX_PLANES = 16
@@ -124,22 +125,18 @@ def _shifts_of_pairs(coefficients: np.ndarray,
     first, second = np.tile(first, (2, 1)), np.tile(second, (2, 1))
     first[:, 2] += tau
     second[:, 2] += tau
-    x = _unit(first)
+    x = unit_vectors(first)
     y = second - (second * x).sum(1, keepdims=True) * x
     possible = (tau > lowest_tau) & (np.linalg.norm(y, axis=1) > 1e-9)
-    y = _unit(y)
+    y = unit_vectors(y)
     return tau[possible], np.stack([x, y, np.cross(x, y)], axis=1)[possible]
-
-
-def _unit(vectors: np.ndarray) -> np.ndarray:
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-30)
 
 
 def _normals(planes: DisparityPlanes, tau: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return normals (C, N, 3), not of unit length, and their errors in degrees (C, N)."""
     raw = np.repeat(planes.coefficients[None], len(tau), axis=0)
     raw[..., 2] += tau[:, None]
-    normals, covariance = _unit(raw), planes.covariance
+    normals, covariance = unit_vectors(raw), planes.covariance
     along = np.einsum('cni,nij,cnj->cn', normals, covariance, normals)
     across = np.maximum(np.trace(covariance, axis1=1, axis2=2) - along, 0.0) / 2
     return raw, np.degrees(np.arctan2(np.sqrt(across), np.linalg.norm(raw, axis=-1)))
@@ -148,7 +145,7 @@ def _normals(planes: DisparityPlanes, tau: np.ndarray) -> tuple[np.ndarray, np.n
 def _judge(planes: DisparityPlanes, tau: np.ndarray, axes: np.ndarray) -> _Judged:
     """Return how well the planes fit shifts (C,) and axes (C, A, 3)."""
     raw, sigma_deg = _normals(planes, tau)
-    cosine = np.abs(np.einsum('cni,cki->cnk', _unit(raw), axes))
+    cosine = np.abs(np.einsum('cni,cki->cnk', unit_vectors(raw), axes))
     off_deg = np.degrees(np.arccos(cosine.clip(0, 1)))
     tolerance_deg = np.clip(3 * sigma_deg, MIN_TOLERANCE_DEG, MAX_TOLERANCE_DEG)[..., None]
     along, across = (np.where(off <= tolerance_deg, 1.0 - 0.5 * (off / tolerance_deg) ** 2, 0.0)
@@ -168,7 +165,7 @@ def _refined(planes: DisparityPlanes, best: _Judged,
     start = best
     for _ in range(ROUNDS):
         raw, sigma_deg = _normals(planes, best.tau)
-        length, normals = np.linalg.norm(raw[0], axis=1)[:, None], _unit(raw[0])
+        length, normals = np.linalg.norm(raw[0], axis=1)[:, None], unit_vectors(raw[0])
         axes = best.axes[0]
         near = axes[best.along[0].argmax(1)]
         near = near * np.sign((near * normals).sum(1, keepdims=True))
@@ -196,7 +193,7 @@ def _is_apart(planes: DisparityPlanes, winner: _Judged, tried: _Judged) -> np.nd
 
 def _turn_deg(planes: DisparityPlanes, tau: np.ndarray, other: np.ndarray) -> np.ndarray:
     """Return the angle by which each plane turns from a shift (1,) to others, (C, N) degrees."""
-    here, there = _unit(_normals(planes, tau)[0]), _unit(_normals(planes, other)[0])
+    here, there = unit_vectors(_normals(planes, tau)[0]), unit_vectors(_normals(planes, other)[0])
     return np.degrees(np.arccos((here * there).sum(-1).clip(-1, 1)))
 
 

@@ -28,6 +28,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from plane_detector.geometry.rigid_transform import unit_vectors
 from plane_detector.scale.disparity_planes import DisparityPlanes
 
 MAX_PLANES, MIN_PIXEL_SHARE = 16, 0.004
@@ -92,9 +93,9 @@ def frames_about(down: np.ndarray, sigma_rad: float,
     aside = np.linalg.svd(down[None])[2][1:]
     frames = []
     for turn in np.sqrt(2) * sigma_rad * np.vstack([aside, -aside]):
-        axes = _unit(down + turn)[None]
+        axes = unit_vectors(down + turn)[None]
         if len(level_axes):
-            first = _unit(level_axes[0] - (level_axes[0] @ axes[0]) * axes[0])
+            first = unit_vectors(level_axes[0] - (level_axes[0] @ axes[0]) * axes[0])
             axes = np.vstack([axes, first, np.cross(axes[0], first)])
         frames.append(axes)
     return frames
@@ -128,7 +129,7 @@ def estimate_shift(planes: DisparityPlanes, lowest: float, span: tuple[float, fl
     tau = np.geomspace(offset[first], offset[last], FINE_POINTS) - lowest
     mass = _posterior(planes, tau, span, frames)
     estimate = float(np.interp(0.5, np.cumsum(mass) - mass / 2, tau))
-    normals = _unit(_raw_normals(planes, np.append(tau, estimate)))
+    normals = unit_vectors(_raw_normals(planes, np.append(tau, estimate)))
     turned_rad = np.arccos((normals[:-1] * normals[-1]).sum(2).clip(-1, 1))
     weights = planes.pixel_share / planes.pixel_share.sum()
     angle_sigma_deg = float(np.degrees(np.sqrt(mass @ turned_rad**2 @ weights)))
@@ -197,13 +198,9 @@ def _log_prior(tau: np.ndarray, span: tuple[float, float, float]) -> np.ndarray:
 def _what_determines(normals: np.ndarray, planes: DisparityPlanes,
                      frames: list[np.ndarray]) -> str:
     """Return in words which planes are level or upright for the normals (N, 3) of the answer."""
-    down = _unit(np.mean([axes[0] for axes in frames], axis=0))
+    down = unit_vectors(np.mean([axes[0] for axes in frames], axis=0))
     rise_deg = np.degrees(np.arcsin(np.abs(normals @ down).clip(0, 1)))
     words = [f'{planes.pixel_share[is_so].sum():.0%} {name}' for is_so, name in (
         (rise_deg > 90 - 2 * MAX_ANGLE_SIGMA_DEG, 'level'),
         (rise_deg < 2 * MAX_ANGLE_SIGMA_DEG, 'upright')) if is_so.any()]
     return ', '.join(words)
-
-
-def _unit(vectors: np.ndarray) -> np.ndarray:
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-30)

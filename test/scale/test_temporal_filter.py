@@ -71,6 +71,14 @@ def test_right_angles_without_metres_do_not_replace_metres_at_once():
     assert all(s.estimate.is_metric for s in states)
 
 
+@pytest.mark.parametrize('factor', [0.3, 3.0])
+def test_an_arbitrary_unit_is_that_of_the_first_frame(factor):
+    first, second = run(ANGLES, farther(ANGLES, factor))
+    assert (second.estimate.scale, second.estimate.shift) == pytest.approx(
+        (first.estimate.scale, first.estimate.shift))
+    assert not second.event
+
+
 def test_a_better_method_is_taken_at_once():
     depth = replace(farther(FLOOR, 2.0), method='depth_topic')
     assert run(ANGLES, FLOOR)[-1].estimate is FLOOR

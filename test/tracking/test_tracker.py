@@ -80,6 +80,19 @@ def test_a_plane_missed_for_a_while_comes_back_under_its_label():
     assert labels_of(tracker, ROOM) == (1, 2, 3, 4)
 
 
+@pytest.mark.parametrize('missed, label', [(1, 5), (8, 4)])
+def test_the_longer_a_plane_was_missed_the_more_it_may_have_changed(missed, label):
+    """A door that turned by 35 degrees while it was out of view."""
+    tracker = Tracked()
+    for _ in range(5):
+        tracker.update(ROOM)
+    for _ in range(missed):
+        tracker.update(image(FLOOR, LEFT, BACK))
+    turned = replace(BOX, normal=cv2.Rodrigues(np.radians([0.0, 35.0, 0.0]))[0] @ BOX.normal)
+    turned = replace(turned, offset_m=float(-turned.normal @ turned.centroid_m))
+    assert labels_of(tracker, image(FLOOR, LEFT, BACK, turned)) == (1, 2, 3, label)
+
+
 @pytest.mark.parametrize('factor', [0.4, 0.9, 1.3, 5.0])
 def test_a_change_of_unit_changes_no_label(factor):
     tracker = Tracked()
