@@ -102,6 +102,14 @@ def test_citation_is_of_this_version():
     assert citation['license'] == MANIFEST.findtext('license')
 
 
+def test_the_changelog_has_this_version_with_its_date():
+    lines = read('CHANGELOG.rst').splitlines()
+    headings = [above for above, line in zip(lines, lines[1:], strict=False)
+                if above and set(line) == {'-'}]
+    released = yaml.safe_load(read('CITATION.cff'))['date-released']
+    assert headings == ['Forthcoming', f'{VERSION} ({released})']
+
+
 def test_the_aggregator_takes_both_states_of_the_node():
     settings = yaml.safe_load(read('config', 'diagnostics_aggregator.yaml'))
     analyzer = settings['analyzers']['ros__parameters']['planes']
