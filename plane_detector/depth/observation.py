@@ -198,7 +198,8 @@ class ModelDepth:
                            sensor_depth_m=depth_m, noise_share=self.model.noise_share,
                            edge_blur_px=self.model.edge_blur_px(width, height))
         seen = self._averaged(seen, config.depth.damping)
-        known, sees_sky = knowable(seen.disparity, seen.disparity_noise, rgb)
+        known, sees_sky = knowable(seen.disparity, seen.disparity_noise, rgb,
+                                    output == 'relative_disparity')
         if not known.all():
             seen = seen.with_values(np.where(known, seen.prediction.values, np.nan))
         return replace(seen, sees_sky=sees_sky)

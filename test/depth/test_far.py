@@ -70,7 +70,8 @@ def test_a_disparity_within_its_noise_of_zero_determines_no_distance():
     disparity = np.array([[0.029, 0.031, 0.5, np.nan]], np.float32)
     np.testing.assert_array_equal(knowable(disparity, 0.01, rgb)[0], [[False, True, True, True]])
     assert knowable(disparity, 0.0, rgb)[0].all()
-    assert knowable(disparity - 0.1, 0.01, rgb)[0].all(), 'the shift is not known'
+    assert knowable(disparity, 0.01, rgb, has_shift=True)[0].all(), 'the shift is not known'
+    assert knowable(disparity - 0.1, 0.01, rgb, has_shift=True)[0].all()
 
 
 @pytest.mark.parametrize('output', ['metric_depth', 'disparity', 'relative_disparity'])
@@ -82,3 +83,35 @@ def test_models_give_no_depth_there(output):
     seen = source.observe(rgb, CAMERA, None, Config())
     assert np.isnan(seen.prediction.values[:HORIZON + 4]).all()
     np.testing.assert_array_equal(seen.prediction.values[HORIZON + 4:], values[HORIZON + 4:])
+
+
+def cloudy(height=HORIZON):
+    """Return an image of grey clouds over dark ground, and a network's relative disparity."""
+    rng = np.random.default_rng(1)
+    rgb = rng.integers(30, 120, (HEIGHT, WIDTH, 3)).astype(np.uint8)
+    clouds = cv2.GaussianBlur(rng.normal(0, 1, (height, WIDTH)).astype(np.float32), (0, 0), 9)
+    rgb[:height] = np.clip(190 + 25 * clouds / clouds.std(), 150, 240)[..., None]
+    disparity = np.full((HEIGHT, WIDTH), 0.12, np.float32)
+    disparity[height:] = np.linspace(0.13, 1.0, HEIGHT - height)[:, None]
+    return rgb, disparity + rng.normal(0, 0.001, disparity.shape).astype(np.float32)
+
+
+def test_a_cloudy_sky_is_the_flat_bright_region_of_least_disparity():
+    rgb, disparity = cloudy()
+    sky = find_sky(rgb, disparity, True)
+    assert sky[:HORIZON].mean() > 0.9 and sky[HORIZON + 9:].mean() < 0.01
+
+
+def test_a_bright_wall_is_no_sky():
+    rgb, disparity = cloudy()
+    assert find_sky(rgb, disparity) is None, 'a metric network sees a wall'
+    wall = disparity + np.float32(0.06) * np.linspace(0, 1, WIDTH, dtype=np.float32)
+    assert find_sky(rgb, wall, True) is None, 'it recedes'
+    reddish = (rgb * [1, 0.95, 0.9]).astype(np.uint8)
+    assert find_sky(reddish, disparity, True) is None
+    dark = rgb.copy()
+    dark[HORIZON:] = np.clip(dark[HORIZON:].astype(int) + 110, 0, 255)
+    assert find_sky(dark, disparity, True) is None, 'the rest is as bright'
+    near = disparity.copy()
+    near[-80:] = 0.05
+    assert find_sky(rgb, near, True) is None, 'something is farther'
