@@ -149,7 +149,7 @@ class ScaleConfig(Settings, section='scale'):
         for name, length in (('gravity', 3), ('imu_to_camera', 4)):
             if len(numbers := getattr(self, name)) != length:
                 raise ValueError(f'scale.{name} must be {length} numbers, not {numbers!r}')
-        if not any(self.imu_to_camera):
+        if max(map(abs, self.imu_to_camera)) < 1e-6:
             raise ValueError('scale.imu_to_camera must be a quaternion, not all zeros')
 
 

@@ -15,6 +15,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+# chosen: rounded to two digits, a rotation is still one.
+_MOST_OFF_ROTATION = 0.05
 _COEFFICIENTS = {'plumb_bob': (4, 5), 'rational_polynomial': (8, 12, 14), 'equidistant': (4,)}
 
 
@@ -83,7 +85,8 @@ def make_rectification(model: str, distortion: np.ndarray, camera_matrix: np.nda
     Raises
     ------
     ValueError
-        The model is not known, the number of its coefficients is wrong, or nothing is left.
+        The model is not known, the number of its coefficients is wrong, R is no rotation, or
+        nothing is left.
 
     """
     if model not in _COEFFICIENTS:
@@ -93,6 +96,9 @@ def make_rectification(model: str, distortion: np.ndarray, camera_matrix: np.nda
         counts = ' or '.join(str(count) for count in _COEFFICIENTS[model])
         raise ValueError(f'{model} has {counts} coefficients, not {len(distortion)}')
     rotation = np.asarray(rotation, float) if np.any(rotation) else np.eye(3)
+    with np.errstate(all='ignore'):
+        if not (abs(rotation @ rotation.T - np.eye(3)) < _MOST_OFF_ROTATION).all():  # nor NaN
+            raise ValueError('R of the CameraInfo is no rotation')
     lens = cv2.fisheye if model == 'equidistant' else cv2
     map_x, map_y = lens.initUndistortRectifyMap(
         np.asarray(camera_matrix, float), np.asarray(distortion, float), rotation,

@@ -71,7 +71,7 @@ def random_messages(folder: Path) -> list[Row]:
             _damaged(node, image, rng)
         rows.append(_still_works(node, image, f'{FRAMES} damaged images'))
         refused = sum(_random_parameter(node, image, rng) for _ in range(CHANGES))
-        _set(node, {name: value for name, _, value in parameters_of(Config())})
+        set_parameters(node, {name: value for name, _, value in parameters_of(Config())})
         rows.append(_still_works(node, image, f'{CHANGES} random parameters under load, '
                                  f'{refused} refused'))
         slowest_s = max(_random_transition(node, image, rng) for _ in range(TRANSITIONS))
@@ -128,10 +128,11 @@ def _random_parameter(node: FedNode, image: np.ndarray, rng: np.random.Generator
     elif type(names[name]) is int:
         value = numbers
     node.feed(image)
-    return not _set(node, {name: value[rng.integers(len(value))]})[0]
+    return not set_parameters(node, {name: value[rng.integers(len(value))]})[0]
 
 
-def _set(node: FedNode, values: dict) -> list[bool]:
+def set_parameters(node: FedNode, values: dict) -> list[bool]:
+    """Set parameters; return which were accepted."""
     plain = {name: list(value) if isinstance(value, tuple) else value
              for name, value in values.items()}
     parameters = [Parameter(name, value=value).to_parameter_msg()

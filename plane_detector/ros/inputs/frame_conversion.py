@@ -18,10 +18,8 @@ from plane_detector.ros.calibration import (
     MODEL_NAMES,
     NO_DISTORTION,
     Distortion,
-    crop_and_bin,
     image_size,
     intrinsics_from_msg,
-    projection_from_msg,
 )
 from plane_detector.ros.inputs import image_decoding as encodings
 from plane_detector.ros.inputs.depth_decoding import check_rays, depth_from_msg
@@ -126,21 +124,23 @@ def is_rectified_name(topic: str) -> bool:
 def _reduced(intrinsics: CameraIntrinsics, reduction: Reduction) -> CameraIntrinsics:
     if reduction.is_none:
         return intrinsics
-    matrix = np.array([[intrinsics.fx, 0, intrinsics.cx], [0, intrinsics.fy, intrinsics.cy],
-                       [0, 0, 1]])
-    (fx, _, cx), (_, fy, cy), _ = reduction.matrix(matrix).tolist()
+    (fx, _, cx), (_, fy, cy), _ = reduction.matrix(_matrix(intrinsics)).tolist()
     return CameraIntrinsics(fx, fy, cx, cy, *reduction.new_size)
+
+
+def _matrix(intrinsics: CameraIntrinsics) -> np.ndarray:
+    return np.array([[intrinsics.fx, 0, intrinsics.cx], [0, intrinsics.fy, intrinsics.cy],
+                     [0, 0, 1]])
 
 
 def _rectification_from_msg(info: CameraInfo, reduction: Reduction) -> Rectification:
     model = _model_of(info)
     no_distortion = np.zeros(4 if model == 'equidistant' else 5)
-    camera_matrix = crop_and_bin(np.reshape(info.k, (3, 3)), info)
-    rectified_matrix = crop_and_bin(projection_from_msg(info), info)
-    return make_rectification(
-        model, np.asarray(info.d) if np.any(info.d) else no_distortion,
-        reduction.matrix(camera_matrix), np.reshape(info.r, (3, 3)),
-        reduction.matrix(rectified_matrix), reduction.new_size)
+    # Checked, and without the numbers of K and P that a pinhole camera has not.
+    camera, rectified = (reduction.matrix(_matrix(intrinsics_from_msg(info, is_rectified)))
+                         for is_rectified in (False, True))
+    return make_rectification(model, np.asarray(info.d) if np.any(info.d) else no_distortion,
+                              camera, np.reshape(info.r, (3, 3)), rectified, reduction.new_size)
 
 
 def _model_of(info: CameraInfo) -> str:

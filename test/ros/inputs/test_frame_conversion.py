@@ -2,9 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Rectification of images, its matrices, and resizing of depth."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
+from field_faults import changed
 from ros_helpers import camera_info_msg, image_msg
 
 from plane_detector.config import NodeConfig
@@ -59,6 +62,34 @@ def test_models_under_other_names(name):
     np.testing.assert_array_equal(image.rgb, expected.rgb)
     left = convert(frame(DISTORTION['equidistant'], name), rectify='false')
     assert left.distortion.model == 'equidistant', 'as consumers of ~/camera_info know it'
+
+
+# Those that gave nonsense, with warnings of numpy, when each field had each extreme value.
+ODD = [*((f'r.{k}', value) for k in range(9) for value in (1e-308, 1e-38, 1e38, np.inf, np.nan)),
+       ('r.8', 0.0), *((name, np.full(9, value)) for name in ('k', 'r')
+                       for value in (np.inf, 1e308, 1e-308, 1e-38))]
+
+
+@pytest.mark.parametrize('path, value', ODD)
+@pytest.mark.filterwarnings('error')
+def test_a_calibration_with_one_odd_field_is_refused(path, value):
+    bent = frame(DISTORTION['plumb_bob'])
+    info = changed(bent.camera_info, path, value)
+    if path.startswith('r.') and int(path[2:]) % 4 and abs(value) < 1:
+        convert(replace(bent, camera_info=info))  # as good as the zero that it replaces
+        return
+    with pytest.raises(ValueError, match='no rotation|must be finite|cannot be that'):
+        convert(replace(bent, camera_info=info))
+
+
+@pytest.mark.parametrize('path', ['p.8', 'p.9', 'p.10', 'k.6', 'k.7', 'k.8', 'k.1', 'p.1'])
+@pytest.mark.filterwarnings('error')
+def test_numbers_that_a_pinhole_camera_has_not_have_no_effect(path):
+    bent = frame(DISTORTION['plumb_bob'])
+    expected = convert(bent)
+    for value in (0.0, np.inf, np.nan, 1e308, 1e-308):
+        image = convert(replace(bent, camera_info=changed(bent.camera_info, path, value)))
+        np.testing.assert_array_equal(image.rgb, expected.rgb)
 
 
 @pytest.mark.parametrize('d', [(), (0.0,) * 5])

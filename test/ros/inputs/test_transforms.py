@@ -5,10 +5,11 @@
 
 import numpy as np
 import pytest
+from field_faults import changed
 from rclpy.time import Time
 from ros_helpers import header, transform_msg
 
-from plane_detector.config import NodeConfig
+from plane_detector.config import NodeConfig, ScaleConfig
 from plane_detector.geometry.rigid_transform import RigidTransform
 from plane_detector.ros.inputs.transforms import (
     FrameTransforms,
@@ -85,3 +86,18 @@ def test_into_the_target_frame():
 def test_up_must_be_a_direction():
     with pytest.raises(ValueError, match='base_up must be 3 numbers'):
         NodeConfig(base_up=(0.0, 0.0, 0.0))
+
+
+@pytest.mark.parametrize('value', [np.nan, np.inf, -1e308, 1e308, 2e9])
+@pytest.mark.parametrize('field', ['translation.x', 'translation.z'])
+def test_a_transform_to_nowhere_is_refused(field, value):
+    """One field at a time: float32 cannot hold what it moves."""
+    with pytest.raises(ValueError, match='not finite, or above 1e'):
+        TransformBuffer().add(changed(transform_msg('a', 'b'), f'transform.{field}', value))
+
+
+def test_the_mounting_of_an_imu_must_be_a_rotation():
+    """One field at a time: the length of this one is zero in floating point."""
+    for tiny in (0.0, 1e-308):
+        with pytest.raises(ValueError, match='imu_to_camera must be a quaternion'):
+            ScaleConfig(imu_to_camera=(tiny,) * 4)
