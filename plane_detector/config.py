@@ -249,6 +249,25 @@ class GroundConfig(Settings, section='ground'):
         'drop', 'm', 0.01, 10.0)
 
 
+@dataclass(frozen=True)
+class MapConfig(Settings, section='map'):
+    """One lasting plane for one surface, from the planes of all images and the poses of TF."""
+
+    enabled: bool = setting(
+        False, 'keep a map of the planes of all images in target_frame, which must not move with '
+        'the camera: odom or map')
+    file: str = setting(
+        'planes.json', 'file that ~/map/save writes and ~/map/load reads')
+    cell: float = setting(
+        0.04, 'side of the square cells in which a plane is known to be there', 'm', 0.005, 1.0)
+    pose_jitter: float = setting(
+        0.005, 'standard deviation of the error of a pose that is new in each image; of its '
+        'rotation, half as many radians', 'm', 0.0, 1.0)
+    pose_drift: float = setting(
+        0.005, 'standard deviation of the drift of the poses after one metre or radian; it grows '
+        'with the root of the way', '', 0.0, 1.0)
+
+
 SHAPE_TYPES = ('sphere', 'cylinder', 'cone')
 
 
@@ -320,6 +339,7 @@ class Config(Settings):
     tracking: TrackingConfig = field(default_factory=TrackingConfig)
     shapes: ShapesConfig = field(default_factory=ShapesConfig)
     ground: GroundConfig = field(default_factory=GroundConfig)
+    map: MapConfig = field(default_factory=MapConfig)
     paper: PaperConfig = field(default_factory=PaperConfig)
 
     def with_camera_height(self, height_m: float | None) -> Config:

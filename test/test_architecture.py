@@ -21,7 +21,7 @@ LAYERS = (('stopping', 'plain_text', 'process', 'dependencies'), ('ending', 'com
           ('settings', 'stage_timer'),
           ('config', 'types'), ('geometry',),
           ('depth', 'directions', 'segmentation', 'scale', 'tracking'), ('planes',),
-          ('ground', 'shapes'),
+          ('ground', 'shapes', 'mapping'),
           ('pipeline', 'drawing'), ('ros',), ('tools',), ('evaluation',))
 # The same inside the segmentation, and what planes may know of it.
 SEGMENTATION_LAYERS = (('cells',), ('search',), ('regions',), ('pixels',), ('fine_pass',),

@@ -21,9 +21,10 @@ from plane_detector.ros.calibration import camera_info_to_msg
 from plane_detector.ros.inputs.frame_conversion import FrameConverter
 from plane_detector.ros.inputs.synchronizer import Frame, ns_of
 from plane_detector.ros.inputs.transforms import CameraPose, FrameTransforms, TransformBuffer
-from plane_detector.ros.outputs.frame import DetectedFrame
+from plane_detector.ros.live_map import LiveMap
+from plane_detector.ros.outputs.frame import DetectedFrame, MapView
 from plane_detector.ros.outputs.messages import rgb_to_msg
-from plane_detector.ros.outputs.topics import OUTPUTS
+from plane_detector.ros.outputs.topics import MAP_OUTPUTS, OUTPUTS
 from plane_detector.stage_timer import StageTimer, median_seconds
 
 # Noise and blur of a network's depth, for timing the stages after it.
@@ -44,16 +45,19 @@ class FrameProcessor:
         Topic of the images; its name indicates whether they are rectified.
     transforms : FrameTransforms, optional
         TF, for the frames named in the settings; default: no transforms.
+    live_map : LiveMap, optional
+        Gets every image.
 
     """
 
     def __init__(self, detector: PlaneDetector, settings: NodeConfig, image_topic: str,
-                 transforms: FrameTransforms | None = None):
+                 transforms: FrameTransforms | None = None, live_map: LiveMap | None = None):
         self.detector = detector
         self.settings = settings
         self._image_topic = image_topic
         self._converter = FrameConverter(image_topic, detector.config.depth)
         self._transforms = transforms or FrameTransforms(TransformBuffer())
+        self._map = live_map
         self._epoch = 0
 
     @property
@@ -106,10 +110,15 @@ class FrameProcessor:
             # 3. Gravity and lines, then planes.
             around = self.detector.find_directions(seen, *measured_gravity(frame, pose))
             found = self.detector.find_planes(seen, around, height_m(pose))
-            return DetectedFrame(
+            result = DetectedFrame(
                 found, seen.intrinsics, to_target, seen.stamp_s, header=frame.image.header,
                 rgb=seen.rgb, settings=settings, pose_problem=problem,
                 distortion=converted.distortion, timer=timer)
+            if self._map is None:
+                return result
+            with timer('map'):
+                # 4. One lasting plane for one surface.
+                return replace(result, map_view=self._map.add(result, seen.epoch))
         return find_planes
 
     def seconds_with(self, max_side: int, frame: Frame, wanted: Collection[str]) -> float:
@@ -126,7 +135,14 @@ def make_messages(found: DetectedFrame, wanted: Collection[str]) -> dict[str, An
     with found.timer('messages'):
         return {name: msg for name in wanted
                 if not (found.pose_problem and OUTPUTS[name].is_placed)
-                and (msg := OUTPUTS[name].make(found)) is not None}
+                and (msg := OUTPUTS[name].make(found)) is not None
+                } | make_map_messages(found.map_view)
+
+
+def make_map_messages(view: MapView | None) -> dict[str, Any]:
+    """Return the messages of the map, which are latched: whether anybody listens or not."""
+    return {} if view is None else {name: output.make(view)
+                                    for name, output in MAP_OUTPUTS.items()}
 
 
 def placement_problem(found: DetectedFrame, wanted: Collection[str]) -> str:

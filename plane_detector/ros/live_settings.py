@@ -32,6 +32,8 @@ def load_kernels(config: Config, log: Callable[[str], None]) -> None:
         subjects.append('network')
     if config.shapes.wanted:
         subjects.append('shapes')
+    if config.map.enabled:
+        subjects.append('mapping')
     compile_kernels(subjects, log)
 
 

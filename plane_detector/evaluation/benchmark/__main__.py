@@ -28,6 +28,7 @@ COMMANDS = {
     'labelled': ('labelled', 'real frames with planes labelled by hand'),
     'sensors': ('sensors', 'errors of planes of real and of simulated sensors'),
     'time': ('runtime', 'run time on one thread'),
+    'map': ('map', 'the map of planes, on rendered walks'),
     'ground': ('ground', 'ground, obstacles and drops on rendered terrain'),
     'shapes': ('shapes', 'spheres, cylinders and cones among planes'),
     'scale': ('scale', 'angles and distances after each way to find the scale'),

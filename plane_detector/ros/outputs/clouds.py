@@ -12,12 +12,14 @@ from collections.abc import Sequence
 
 import numpy as np
 from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import Header
 
 from plane_detector.compilation import kernel
 from plane_detector.drawing import tint
 from plane_detector.geometry.disparity import MIN_DEPTH_M
 from plane_detector.geometry.projection import pixel_rays
 from plane_detector.geometry.rigid_transform import RigidTransform, quaternions
+from plane_detector.planes.outline import Polygon, Rectangles
 from plane_detector.ros.outputs.frame import DetectedFrame
 from plane_detector.ros.outputs.messages import (
     DROP_DTYPE,
@@ -27,6 +29,7 @@ from plane_detector.ros.outputs.messages import (
     cloud_msg,
     shape_labels,
 )
+from plane_detector.types import Planes
 
 PLANE_DTYPE = np.dtype([
     ('x', '<f4'), ('y', '<f4'), ('z', '<f4'),
@@ -174,8 +177,13 @@ def _pack_kept(geometry, is_kept, heights_m, sigmas_m, table):
 
 def planes_to_msg(frame: DetectedFrame) -> PointCloud2:
     """Return the coefficients: one point per plane, at its centroid; no plane: an empty cloud."""
-    planes, rectangles = frame.planes, frame.rectangles
-    table = np.zeros(len(planes), PLANE_DTYPE)
+    table = np.zeros(len(frame.planes), PLANE_DTYPE)
+    fill_plane_table(table, frame.planes, frame.rectangles)
+    return cloud_msg(frame.target_header, PLANE_DTYPE, table, 1, len(table))
+
+
+def fill_plane_table(table: np.ndarray, planes: Planes, rectangles: Rectangles) -> None:
+    """Write planes and their enclosing rectangles to rows with the fields of ~/planes."""
     _set(table, ('x', 'y', 'z'), planes.centroids_m)
     _set(table, ('normal_x', 'normal_y', 'normal_z'), planes.normals)
     for name, values in (('d', planes.offsets_m), ('label', planes.labels),
@@ -186,14 +194,18 @@ def planes_to_msg(frame: DetectedFrame) -> PointCloud2:
     _set(table, ('rect_x', 'rect_y', 'rect_z'), rectangles.centres_m)
     _set(table, ('rect_qx', 'rect_qy', 'rect_qz', 'rect_qw'), quaternions(rectangles.rotations))
     table['rect_width'], table['rect_height'] = rectangles.widths_m, rectangles.heights_m
-    return cloud_msg(frame.target_header, PLANE_DTYPE, table, 1, len(table))
 
 
 def boundaries_to_msg(frame: DetectedFrame) -> PointCloud2:
     """Return one point per corner, in order; the last corner of a polygon repeats the first."""
-    outlines = [(label, polygon) for label, of_plane
-                in zip(frame.detection.planes.labels, frame.polygons, strict=True)
-                for polygon in of_plane]
+    return corners_to_msg(frame.target_header, [
+        (label, polygon) for label, of_plane
+        in zip(frame.detection.planes.labels, frame.polygons, strict=True)
+        for polygon in of_plane])
+
+
+def corners_to_msg(header: Header, outlines: Sequence[tuple[int, Polygon]]) -> PointCloud2:
+    """Return the corners of the outlines of labels; the last of a polygon repeats the first."""
     closed_m = [np.zeros((0, 3))]
     for _, polygon in outlines:
         closed_m += polygon.corners_m, polygon.corners_m[:1]
@@ -204,7 +216,7 @@ def boundaries_to_msg(frame: DetectedFrame) -> PointCloud2:
                          ('hole', [polygon.is_hole for _, polygon in outlines]),
                          ('polygon', range(len(outlines)))):
         table[name] = np.repeat(np.array(values, CORNER_DTYPE[name]), counts)
-    return cloud_msg(frame.target_header, CORNER_DTYPE, table, 1, len(table))
+    return cloud_msg(header, CORNER_DTYPE, table, 1, len(table))
 
 
 def shapes_to_msg(frame: DetectedFrame) -> PointCloud2:

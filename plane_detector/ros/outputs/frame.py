@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -12,10 +13,21 @@ from std_msgs.msg import Header
 
 from plane_detector.config import NodeConfig
 from plane_detector.drawing import LabelPlace, colours_by_label, label_places, overlay
+from plane_detector.mapping.plane_map import MapSnapshot
 from plane_detector.planes.placed import PlacedDetection
 from plane_detector.ros.calibration import NO_DISTORTION, Distortion
 from plane_detector.ros.outputs import messages
 from plane_detector.stage_timer import StageTimer
+
+
+@dataclass(frozen=True)
+class MapView:
+    """The map after an image."""
+
+    header: Header  # stamp of the image, target frame
+    snapshot: MapSnapshot
+    # Labels that are gone since the last view, and the planes that they are part of now.
+    subsumed: Mapping[int, int] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,6 +40,7 @@ class DetectedFrame(PlacedDetection):
     pose_problem: str = ''  # why the pose in ``target_frame`` is not known; empty if it is
     distortion: Distortion = NO_DISTORTION  # that the image still has
     timer: StageTimer = field(default_factory=StageTimer)  # of the stages on this frame
+    map_view: MapView | None = None  # with this image, if it is to be published now
 
     @cached_property
     def target_header(self) -> Header:

@@ -31,7 +31,8 @@ XYZ_DTYPE = np.dtype([('x', '<f4'), ('y', '<f4'), ('z', '<f4')])
 OBSTACLE_DTYPE = np.dtype([*XYZ_DTYPE.descr, ('height', '<f4'), ('sigma', '<f4')])
 DROP_DTYPE = np.dtype([*XYZ_DTYPE.descr, ('drop', '<f4')])
 Message = TypeVar('Message', CompressedImage, Image, PointCloud2)
-_FIELD_TYPES = {'f4': PointField.FLOAT32, 'u4': PointField.UINT32, 'u1': PointField.UINT8}
+_FIELD_TYPES = {'f4': PointField.FLOAT32, 'f8': PointField.FLOAT64,
+                'u4': PointField.UINT32, 'u1': PointField.UINT8}
 
 
 def shape_labels(detection: Detection) -> np.ndarray:

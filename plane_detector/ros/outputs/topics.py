@@ -34,6 +34,11 @@ from plane_detector.ros.outputs.clouds import (
 )
 from plane_detector.ros.outputs.detections import Detection3DArray, detections_to_msg
 from plane_detector.ros.outputs.frame import DetectedFrame
+from plane_detector.ros.outputs.map_messages import (
+    map_boundaries_to_msg,
+    map_markers_to_msg,
+    map_planes_to_msg,
+)
 from plane_detector.ros.outputs.markers import markers_to_msg
 from plane_detector.ros.outputs.plane_json import planes_to_json
 from plane_detector.scale.estimate import RELATIVE
@@ -82,6 +87,14 @@ OUTPUTS: dict[str, Output] = {
 }
 if Detection3DArray is not None:
     OUTPUTS['detections'] = Output(Detection3DArray, detections_to_msg)
+
+
+# Of a MapView; with map.enabled.
+MAP_OUTPUTS: dict[str, Output] = {
+    'map/planes': Output(PointCloud2, map_planes_to_msg),
+    'map/boundaries': Output(PointCloud2, map_boundaries_to_msg),
+    'map/markers': Output(MarkerArray, map_markers_to_msg),
+}
 
 
 class OutputPublishers:

@@ -104,7 +104,9 @@ def _options(arguments: argparse.Namespace, source: Path, target: Path) -> Repla
     if arguments.network is not None:
         by_depth = ['depth.source:=model']
         by_depth += [f'depth.model:={arguments.network}'] if arguments.network else []
-    config, settings = load_settings(arguments.params_file, [*by_depth, *arguments.parameter],
+    by_map = ['map.enabled:=true'] if arguments.map or arguments.load else []
+    config, settings = load_settings(arguments.params_file,
+                                     [*by_depth, *by_map, *arguments.parameter],
                                      NodeConfig(points_color='overlay'))  # as a viewer shows it
     named = {text.partition(':=')[0] for text in [*by_depth, *arguments.parameter]}
     depth_by_bag = (named.isdisjoint({'depth.source', 'depth.model'})
@@ -116,7 +118,7 @@ def _options(arguments: argparse.Namespace, source: Path, target: Path) -> Repla
         every=arguments.every, outputs=tuple(arguments.outputs),
         copied=None if arguments.copy is None else tuple(arguments.copy),
         storage=arguments.storage, compressed=arguments.compress, figures=arguments.figures,
-        ply=arguments.ply, table=arguments.csv)
+        ply=arguments.ply, table=arguments.csv, map_file=arguments.map, load_map=arguments.load)
 
 
 def parse(words: Sequence[str]) -> argparse.Namespace:
@@ -172,6 +174,11 @@ def _make_parser() -> argparse.ArgumentParser:
     add('--ply', type=Path, metavar='FOLDER', help='labelled cloud of each frame')
     add('--csv', type=Path, metavar='FILE',
         help='table of all planes; with shapes.types also one of all shapes')
+
+    add('--map', type=Path, metavar='FILE',
+        help='keep a map of planes in target_frame (-p target_frame:=odom) and write it to this '
+             'file; with many bags the name of a folder')
+    add('--load', type=Path, metavar='FILE', help='go on from this map')
 
     add = parser.add_argument_group('many bags').add_argument
     add('--jobs', type=_jobs, default=-1, metavar='N',

@@ -128,8 +128,8 @@ def replay_many(bags: Mapping[str, Path], options: ReplayOptions, jobs: int = -1
     bags : mapping of str to Path
         By the names of the new bags.
     options : ReplayOptions
-        For all of them: the target is the folder of the new bags; figures, ply and table are
-        folders with one entry per bag.
+        For all of them: the target is the folder of the new bags; figures, ply, table and map
+        are folders with one entry per bag.
     jobs : int
         Bags at a time; -1: as many as the backend has cores.
 
@@ -172,7 +172,8 @@ def _options_of(name: str, source: Path, options: ReplayOptions) -> ReplayOption
 
     return replace(options, source=source.absolute(), config=config,
                    target=place(options.target, name), figures=place(options.figures, name),
-                   ply=place(options.ply, name), table=place(options.table, f'{name}.csv'))
+                   ply=place(options.ply, name), table=place(options.table, f'{name}.csv'),
+                   map_file=place(options.map_file, f'{name}.json'))
 
 
 def replay_one(options: ReplayOptions) -> BagSummary:

@@ -25,7 +25,7 @@ NODE_NAME = 'plane_detector'
 DEFAULT_OUTPUTS = tuple(name for name in OUTPUTS
                         if name not in (POINTS_WITHOUT_FLOOR, 'planes_json', 'detections'))
 # Paths do not affect the content of the new bag.
-_PATHS = ('source', 'target', 'figures', 'ply', 'table')
+_PATHS = ('source', 'target', 'figures', 'ply', 'table', 'map_file')
 _OF_ROS = ('use_sim_time', 'qos_overrides.', 'start_type_description_service')
 
 
@@ -58,6 +58,8 @@ class ReplayOptions:
     figures: Path | None = None  # these three: see ReplayFiles
     ply: Path | None = None
     table: Path | None = None
+    map_file: Path | None = None  # to write, with config.map.enabled
+    load_map: Path | None = None  # file of a map to go on from
 
     @property
     def fingerprint(self) -> str:

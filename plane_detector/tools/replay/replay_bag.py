@@ -22,11 +22,12 @@ from plane_detector.config import Config, DepthConfig
 from plane_detector.depth.estimator import DepthEstimator
 from plane_detector.pipeline import PlaneDetector
 from plane_detector.ros.diagnostics import Report, gap_of, planes_status, status_to_msg
-from plane_detector.ros.frame_processor import FrameProcessor, placement_problem
+from plane_detector.ros.frame_processor import FrameProcessor, make_map_messages, placement_problem
 from plane_detector.ros.inputs.synchronizer import FrameSynchronizer, depth_use
+from plane_detector.ros.live_map import LiveMap
 from plane_detector.ros.live_settings import load_kernels
 from plane_detector.ros.outputs.frame import DetectedFrame
-from plane_detector.ros.outputs.topics import OUTPUTS
+from plane_detector.ros.outputs.topics import MAP_OUTPUTS, OUTPUTS
 from plane_detector.stopping import Stopped, raise_if_stopped
 from plane_detector.tools.replay.bag_reader import BagError, BagReader
 from plane_detector.tools.replay.inputs import (
@@ -64,6 +65,8 @@ class Tally:
     seconds: float = 0.0  # of all frames
     stage_seconds: Counter[str] = field(default_factory=Counter)  # the rest is reading
     # Where the unit of depth came from, and why planes have no class, of each frame by kind.
+    map_events: list[str] = field(default_factory=list)  # jumps of the poses
+    map_problem: str = ''  # with the poses or the map at the end
     scales: dict[str, list[str]] = field(default_factory=lambda: defaultdict(list))
     gaps: dict[str, list[str]] = field(default_factory=lambda: defaultdict(list))
 
@@ -111,7 +114,8 @@ class Tally:
                  f'{self.processed / max(self.seconds, 1e-9):.1f} frames per second',
                  f'ms per frame: {stages}']
         lines += [f'Scale of {line}' for line in _counted(self.scales)]
-        return '\n'.join([*lines, *_counted(self.gaps), *self.losses()])
+        lines += [*_counted(self.gaps), *self.map_events, *filter(None, [self.map_problem])]
+        return '\n'.join([*lines, *self.losses()])
 
     def losses(self) -> list[str]:
         """Return a line for each kind of loss: frames and messages that were not used."""
@@ -193,8 +197,9 @@ def replay(options: ReplayOptions, quiet: bool = False) -> Tally:
         network = (None if config.depth.is_measured
                    else _network(config.depth, threading.get_ident()))
         transforms = read_transforms(bag, options.settings)
+        live_map = _map_of(config, options)
         processor = FrameProcessor(PlaneDetector(config, network), options.settings,
-                                   topics.image, transforms)
+                                   topics.image, transforms, live_map)
         use = depth_use(config, processor.output)
         if use == 'unused':
             topics = replace(topics, depth='')
@@ -209,23 +214,28 @@ def replay(options: ReplayOptions, quiet: bool = False) -> Tally:
         with ReplayFiles(options.figures, options.ply, options.table,
                          bool(config.shapes.wanted)) as files:
             with BagWriter(draft.path, options.storage, options.compressed) as writer:
-                _process(bag, topics, times_ns, synchronizer, processor, writer, files, options,
-                         tally, quiet)
+                _process(bag, topics, times_ns, synchronizer, processor, live_map, writer, files,
+                         options, tally, quiet)
                 writer.describe({**tally.to_fields(), 'replay.source': options.source.name,
                                  'replay.options': options.fingerprint})
             prefix = INTERRUPTED if tally.interrupted else ''
+            if options.map_file is not None:
+                tell(live_map.save(options.map_file.with_name(prefix + options.map_file.name)))
             files.publish(prefix)
             tally.target = draft.publish(prefix)
         return tally
 
 
 def _process(bag: BagReader, topics: InputTopics, times_ns: tuple[int, int],
-             synchronizer: FrameSynchronizer, processor: FrameProcessor, writer: BagWriter,
-             files: ReplayFiles, options: ReplayOptions, tally: Tally, quiet: bool) -> None:
+             synchronizer: FrameSynchronizer, processor: FrameProcessor,
+             live_map: LiveMap | None, writer: BagWriter, files: ReplayFiles,
+             options: ReplayOptions, tally: Tally, quiet: bool) -> None:
     """Process the frames, to the end of the bag or of what can be read, or to a stop."""
     config, facts = processor.detector.config, {'depth': tally.depth}
     copied = () if options.copied is None else options.copied or topics.names
-    writer.add_outputs({**{_topic(name): OUTPUTS[name].msg_type for name in options.outputs},
+    of_map = tuple(MAP_OUTPUTS) if live_map else ()
+    types = {name: output.msg_type for name, output in {**OUTPUTS, **MAP_OUTPUTS}.items()}
+    writer.add_outputs({**{_topic(name): types[name] for name in (*options.outputs, *of_map)},
                         _DIAGNOSTICS_TOPIC: DiagnosticArray})
     writer.add_copies(bag, copied)
     copies = CopiedMessages(writer, copied, topics, options.every)
@@ -252,10 +262,13 @@ def _process(bag: BagReader, topics: InputTopics, times_ns: tuple[int, int],
                     error = tally.add_error(ValueError(problem))
                 else:
                     facts |= tally.add(found.detection, config, options.outputs)
+                if live_map:
+                    facts |= {**live_map.facts(), 'map.problem': live_map.problem()}
+                    tally.map_events.extend(live_map.take_events())
             done_s = time.perf_counter()
             if found is not None:
                 files.write(index, found, messages)
-                for name in options.outputs:
+                for name in (*options.outputs, *of_map):
                     if name in messages:  # some are not available for every frame
                         writer.write(_topic(name), time_ns, messages[name])
             writer.write(_DIAGNOSTICS_TOPIC, time_ns, diagnostics_msg(
@@ -268,6 +281,10 @@ def _process(bag: BagReader, topics: InputTopics, times_ns: tuple[int, int],
         tally.unread = str(error)
     finally:
         progress.close()
+    if live_map:  # the map after the last image, whenever it was published before
+        for name, msg in make_map_messages(live_map.rest()).items():
+            writer.write(_topic(name), time_ns, msg)
+        tally.map_problem = live_map.problem()
     tally.seconds = time.perf_counter() - begun_s
     tally.without_partner += synchronizer.take_dropped()
     tally.damaged = bag.damaged
@@ -282,6 +299,16 @@ def _expected_frames(bag: BagReader, image: str, times_ns: tuple[int, int]) -> i
     """Return about how many images there are between two times."""
     count = next(topic.count for topic in bag.topics if topic.name == image)
     return round(count * (times_ns[1] - times_ns[0]) / (bag.end_ns - bag.start_ns))
+
+
+def _map_of(config: Config, options: ReplayOptions) -> LiveMap | None:
+    """Return the map, of a file if one is to be loaded; None if there is to be none."""
+    if not config.map.enabled:
+        return None
+    live_map = LiveMap(config.map, options.settings.target_frame)
+    if options.load_map is not None:
+        live_map.load(options.load_map)
+    return live_map
 
 
 @lru_cache(maxsize=8)

@@ -1,0 +1,161 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""Which planes of an image are which planes of the map."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from plane_detector.mapping.cells import View, are_near, shared_cells
+from plane_detector.mapping.heights import (
+    PlaneFrames,
+    heights_of,
+    squared_misfits,
+)
+from plane_detector.mapping.map_plane import MapPlane, new_axes
+from plane_detector.mapping.registration import GATE
+from plane_detector.types import PlaneClass, Planes
+
+# Planes whose normals differ by more are never compared: heights over the other would be steep.
+SAME_SIDE = np.cos(np.radians(30.0))
+# How far a plane goes on unseen: over gaps and furniture; an upright one behind a doorway.
+# chosen: the width of a leg of a table with its shadow, of a door with its frame.
+REACH_M, UPRIGHT_REACH_M = 0.25, 1.2
+# chosen: the floor and the ceiling of a hall.
+LEVEL_REACH_M = 20.0
+# derived: an upright plane is one within 20 degrees of it.
+_UPRIGHT = np.sin(np.radians(20.0))
+# Points of a found plane of which one in so many must be within reach of the map's plane.
+_MIN_NEAR = 0.02
+
+
+@dataclass(frozen=True)
+class Pairs:
+    """M pairs of a plane of the map and a plane of the image."""
+
+    old: np.ndarray  # (M,) int, index of the plane in view
+    new: np.ndarray  # (M,) int
+    squared: np.ndarray  # (M,) chi-squared of their difference
+    shared: np.ndarray  # (M,) share of the cells in view, of the map's or of the image's plane
+
+    def __len__(self) -> int:
+        return len(self.old)
+
+    def picked(self, index: np.ndarray) -> Pairs:
+        """Return some pairs."""
+        return Pairs(self.old[index], self.new[index], self.squared[index], self.shared[index])
+
+
+def visible(planes: Sequence[MapPlane], frames: PlaneFrames, view: View
+            ) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Return the planes that face the camera and are in view, and the cells of them in its planes.
+
+    Parameters
+    ----------
+    planes : sequence of MapPlane
+    frames : PlaneFrames
+        Of them.
+    view : View
+        With K found planes.
+
+    Returns
+    -------
+    index : (M,) int
+    counts : (M, K + 1) int
+        Cells in the pixels of each found plane; the last column counts all cells in view.
+
+    """
+    camera_m = view.camera_from_map.inverse().translation_m
+    faces = ((camera_m - frames.origins_m) * frames.axes[:, 2]).sum(axis=1) > 0
+    lows = np.array([plane.cells.low for plane in planes]).reshape(-1, 2)
+    steps = view.steps(frames, lows, planes[0].cells.size_m) if len(planes) else np.zeros((0, 3))
+    index, counts = [], [np.zeros((0, view.count + 1), np.int64)]
+    for k in np.flatnonzero(faces).tolist():
+        shared = shared_cells(view, steps[k], planes[k].cells)
+        if shared[-1]:
+            index.append(k)
+            counts.append(shared[None])
+    return np.array(index, int), np.concatenate(counts)
+
+
+def compare(frames: PlaneFrames, found: Planes, counts: np.ndarray, sizes: np.ndarray,
+            error: np.ndarray, camera_m: np.ndarray) -> Pairs:
+    """
+    Return all pairs on the same side, with the chi-squared of their difference.
+
+    Parameters
+    ----------
+    frames : PlaneFrames
+        Planes of the map, M.
+    found : Planes
+        In the frame of the map, K.
+    counts : (M, K + 1) int
+        Of :func:`visible`.
+    sizes : (K,) float
+        Cells that each found plane would cover.
+    error : (6, 6) float64
+        Covariance of the pose, about the camera.
+    camera_m : (3,) float64
+
+    """
+    old, new = np.nonzero(frames.axes[:, 2] @ found.normals.T > SAME_SIDE)
+    picked = frames.picked(old)
+    heights, covariances, _ = heights_of(picked, found, new, error, camera_m)
+    smaller = np.minimum(counts[old, -1], sizes[new])
+    return Pairs(old, new, squared_misfits(picked, heights, covariances),
+                 counts[old, new] / np.maximum(smaller, 1))
+
+
+def fitting(pairs: Pairs, planes: Sequence[MapPlane], points_m: Sequence[np.ndarray],
+            up: np.ndarray) -> Pairs:
+    """Return the pairs within the gate that overlap or are within reach."""
+    pairs = pairs.picked(pairs.squared < GATE)
+    joined = pairs.shared > 0
+    for k in np.flatnonzero(~joined):
+        plane = planes[pairs.old[k]]
+        reach_m = reach_of(plane, up)
+        joined[k] = are_near(plane.flat(points_m[pairs.new[k]]), plane.cells,
+                             reach_m) > _MIN_NEAR
+    return pairs.picked(joined)
+
+
+def reach_of(plane: MapPlane, up: np.ndarray) -> float:
+    """Return how far a plane goes on unseen, in metres."""
+    if plane.plane_class in (PlaneClass.FLOOR, PlaneClass.CEILING):
+        return LEVEL_REACH_M
+    return UPRIGHT_REACH_M if abs(plane.axes[2] @ up) < _UPRIGHT else REACH_M
+
+
+def apart_in_image(found: Planes) -> tuple[np.ndarray, np.ndarray]:
+    """Return which planes (K, K) bool of an image differ, and which ones look the same way."""
+    same_side = found.normals @ found.normals.T > SAME_SIDE
+    first, second = np.nonzero(same_side)
+    feet = -found.offsets_m[:, None] * found.normals
+    own = PlaneFrames(feet, new_axes(found.normals, np.eye(3)[2]), np.zeros((len(found), 3)),
+                      np.zeros((len(found), 3, 3)))
+    heights, covariances, _ = heights_of(own, found, np.arange(len(found)))
+    own = replace(own, coefficients=heights, covariances=covariances).picked(first)
+    heights, covariances, _ = heights_of(own, found, second)
+    apart = ~same_side
+    apart[first, second] = squared_misfits(own, heights, covariances) >= GATE
+    return apart | apart.T, same_side
+
+
+def assign(pairs: Pairs, apart: np.ndarray, count: int) -> np.ndarray:
+    """
+    Return the plane of the map of each found plane, (K,) int, -1 for none.
+
+    The pairs with most overlap come first, of equal ones those that fit best. Found planes that
+    the image shows apart never get the same plane.
+    """
+    taken = np.full(count, -1)
+    score = pairs.shared * np.exp(-pairs.squared / GATE) - 1e-3 * pairs.squared
+    for k in np.argsort(-score, kind='stable').tolist():
+        old, new = pairs.old[k], pairs.new[k]
+        if taken[new] < 0 and not (apart[new] & (taken == old)).any():
+            taken[new] = old
+    return taken

@@ -1,0 +1,401 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The cells of a plane of the map: how often each was looked at, and how often it was seen.
+
+A cell is looked at if it is in view and not hidden, and hit if its pixel belongs to the plane. So
+planes grow by what is seen of them, and what has gone loses its cells.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import cv2
+import numpy as np
+
+from plane_detector.compilation import kernel
+from plane_detector.geometry.rigid_transform import RigidTransform
+from plane_detector.mapping.heights import PlaneFrames
+from plane_detector.types import CameraIntrinsics
+
+# A cell is part of the plane if this share of its looks were hits.
+# tuned: benchmark map --first-seed 0.
+SEEN_SHARE = 0.3
+# chosen: looks and hits are halved at so many looks, so that a change shows soon.
+MOST_LOOKS = 20
+# chosen: a plane with fewer cells, or a smaller share of those that were hit, is gone.
+_FEWEST, _LEFT_SHARE = 4, 0.15
+# A look through a cell at what is behind it counts as several.
+# tuned: benchmark map --first-seed 0 --only hard.
+THROUGH = 3
+# chosen: 80 m from the origin of a plane at .04 m; limits its memory to 16 MB.
+MOST_CELLS = 2048
+# chosen: corners of outlines may be off by one cell, in halves of a cell (Douglas and Peucker).
+_TOLERANCE = 2.0
+# Cells at the border of a bitmap, so that it need not grow with each image.
+_MARGIN = 8
+
+
+@dataclass(frozen=True)
+class Cells:
+    """Counts of looks and hits of square cells; the arrays are not changed."""
+
+    low: tuple[int, int]  # numbers of the first column, along u, and of the first row, along v
+    hits: np.ndarray  # (rows, columns) uint8
+    looks: np.ndarray  # (rows, columns) uint8
+    size_m: float
+
+    @classmethod
+    def none(cls, size_m: float) -> Cells:
+        """Return no cells."""
+        return cls((0, 0), np.zeros((0, 0), np.uint8), np.zeros((0, 0), np.uint8), size_m)
+
+    @cached_property
+    def seen(self) -> np.ndarray:
+        """The cells that are part of the plane, (rows, columns) bool."""
+        return self.hits > SEEN_SHARE * self.looks
+
+    @property
+    def count(self) -> int:
+        """Number of cells that are part of the plane."""
+        return int(self._sums[0])
+
+    @property
+    def hit_share(self) -> float:
+        """Share of the looks at these cells that were hits."""
+        return self._sums[3] / max(self._sums[4], 1)
+
+    @property
+    def is_gone(self) -> bool:
+        """Whether hardly any of the cells that were hit is left."""
+        return self.count < max(_FEWEST, _LEFT_SHARE * self._sums[5])
+
+    @property
+    def area_m2(self) -> float:
+        """Area of these cells."""
+        return self.count * self.size_m**2
+
+    @property
+    def centroid_m(self) -> np.ndarray:
+        """Mean of these cells, (2,) along u and v; 0 if there is none."""
+        count, columns, rows = self._sums[:3]
+        if not count:
+            return np.zeros(2)
+        return self.size_m * (np.array([columns, rows]) / count + self.low + 0.5)
+
+    @cached_property
+    def _sums(self) -> tuple[int, int, int, int, int, int]:
+        """Number of these cells, sums of their columns, rows, hits and looks; number ever hit."""
+        return _sums(self.hits, self.looks)
+
+    def middles_m(self) -> np.ndarray:
+        """Return the middles of these cells, (N, 2) along u and v."""
+        rows, columns = np.nonzero(self.seen)
+        return self.size_m * (np.column_stack([columns, rows]) + np.array(self.low) + 0.5)
+
+    @property
+    def bounds_m(self) -> tuple[np.ndarray, np.ndarray]:
+        """Lowest and highest coordinates, (2,) each, of the bitmap."""
+        low = np.array(self.low)
+        return self.size_m * low, self.size_m * (low + self.hits.shape[::-1])
+
+    def hull_m(self) -> np.ndarray:
+        """Return the corners (N, 2), along u and v, of the rows of these cells."""
+        first_row, last_row, first, last = runs(self).T
+        corners = np.concatenate([np.column_stack([u, v]) for u in (first, last)
+                                  for v in (first_row, last_row)])
+        return self.size_m * (corners + np.array(self.low))
+
+    def grown(self, low_m: np.ndarray, high_m: np.ndarray) -> Cells:
+        """Return the cells with at least those between two corners (2,)."""
+        wanted = np.clip([np.floor(low_m / self.size_m), np.ceil(high_m / self.size_m)],
+                         -MOST_CELLS, MOST_CELLS).astype(int)
+        low, high = wanted
+        if self.hits.size:
+            own = np.array(self.low), np.array(self.low) + self.hits.shape[::-1]
+            if (low >= own[0]).all() and (high <= own[1]).all():
+                return self
+            low = np.where(low < own[0], low - _MARGIN, own[0])
+            high = np.where(high > own[1], high + _MARGIN, own[1])
+        shape = tuple(np.maximum(high - low, 0)[::-1])
+        hits, looks = np.zeros(shape, np.uint8), np.zeros(shape, np.uint8)
+        if self.hits.size:
+            left, top = np.array(self.low) - low
+            rows, columns = self.hits.shape
+            hits[top:top + rows, left:left + columns] = self.hits
+            looks[top:top + rows, left:left + columns] = self.looks
+        return Cells(tuple(low.tolist()), hits, looks, self.size_m)
+
+    def trimmed(self) -> Cells:
+        """Return the cells without empty rows and columns at the border."""
+        rows, columns = np.flatnonzero(self.looks.any(axis=1)), np.flatnonzero(
+            self.looks.any(axis=0))
+        if not len(rows):
+            return Cells.none(self.size_m)
+        top, left = int(rows[0]), int(columns[0])
+        inner = slice(top, rows[-1] + 1), slice(left, columns[-1] + 1)
+        return Cells((self.low[0] + left, self.low[1] + top), self.hits[inner].copy(),
+                     self.looks[inner].copy(), self.size_m)
+
+
+@dataclass(frozen=True)
+class View:
+    """The labels and the depth of an image, and the camera in the frame of the map."""
+
+    labels: np.ndarray  # (H, W) int32, index of the found plane; -1 none
+    depth_m: np.ndarray  # (H, W) float32
+    camera: tuple[float, float, float, float]  # fx, fy, cx, cy
+    camera_from_map: RigidTransform
+    count: int  # of found planes
+    noise: float  # standard deviation of the disparity, 1/m
+
+    @classmethod
+    def of(cls, labels: np.ndarray, depth_m: np.ndarray, intrinsics: CameraIntrinsics,
+           camera_from_map: RigidTransform, count: int, noise: float) -> View:
+        """Return a view with arrays as the loops need them."""
+        return cls(np.ascontiguousarray(labels, np.int32),
+                   np.ascontiguousarray(depth_m, np.float32),
+                   (intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy),
+                   camera_from_map, count, noise)
+
+    def steps(self, frames: PlaneFrames, lows: np.ndarray, size_m: float) -> np.ndarray:
+        """
+        Return the middles of the first cells and the steps along u and v in the camera, (M, 3, 3).
+
+        ``lows`` (M, 2) are the numbers of these cells.
+        """
+        slopes = frames.coefficients[:, :2, None]
+        normals = frames.axes[:, 2]
+        along = frames.axes[:, :2] + slopes * normals[:, None]
+        start = (frames.origins_m + frames.coefficients[:, 2:] * normals
+                 + (size_m * (lows + 0.5)[:, None] @ along)[:, 0])
+        steps = np.concatenate([start[:, None], size_m * along], axis=1)
+        steps = steps @ self.camera_from_map.rotation.T
+        steps[:, 0] += self.camera_from_map.translation_m
+        return steps
+
+
+def runs(cells: Cells) -> np.ndarray:
+    """
+    Return rectangles (N, 4) that cover the seen cells: rows from and below, columns likewise.
+
+    Runs of cells of a row; equal ones of consecutive rows are one rectangle.
+    """
+    padded = np.pad(cells.seen.astype(np.int8), ((0, 0), (1, 1)))
+    rows, first = np.nonzero(np.diff(padded, axis=1) > 0)
+    _, last = np.nonzero(np.diff(padded, axis=1) < 0)
+    order = np.lexsort((rows, last, first))
+    rows, first, last = rows[order], first[order], last[order]
+    is_new = np.ones(len(rows) + 1, bool)
+    is_new[1:-1] = ((rows[1:] != rows[:-1] + 1) | (first[1:] != first[:-1])
+                    | (last[1:] != last[:-1]))
+    begin, end = np.flatnonzero(is_new[:-1]), np.flatnonzero(is_new[1:])
+    return np.column_stack([rows[begin], rows[end] + 1, first[begin], last[begin]])
+
+
+def outlines(cells: Cells) -> list[tuple[np.ndarray, bool]]:
+    """
+    Return the corners (N, 2), along u and v, of each part and of each hole, and which it is.
+
+    The largest part first, each followed by its holes.
+    """
+    # Twice as large, so that a border of one cell keeps its width; corners are between pixels.
+    mask = np.kron(cells.seen, np.ones((2, 2), np.uint8)).astype(np.uint8)
+    contours, hierarchy = cv2.findContours(mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_SIMPLE)
+    if not contours:
+        return []
+    parents = hierarchy[0, :, 3].tolist()
+    parts = sorted((k for k, parent in enumerate(parents) if parent < 0),
+                   key=lambda k: -cv2.contourArea(contours[k]))
+    order = [k for part in parts for k in (part, *(
+        hole for hole, parent in enumerate(parents) if parent == part))]
+    simple = [(cv2.approxPolyDP(contours[k], _TOLERANCE, True).reshape(-1, 2), parents[k] >= 0)
+              for k in order]
+    return [(cells.size_m * ((corners + 0.5) / 2 + cells.low), is_hole)
+            for corners, is_hole in simple if len(corners) > 2]
+
+
+def shared_cells(view: View, steps: np.ndarray, cells: Cells) -> np.ndarray:
+    """
+    Return how many seen cells each found plane shows, (K + 1,); the last counts all in view.
+
+    Every second cell in both directions is read.
+    """
+    return _shared_cells(view.labels, view.camera, steps, cells.hits, cells.looks, view.count)
+
+
+def vote(view: View, steps: np.ndarray, cells: Cells, is_own: np.ndarray,
+         tolerance_m: float) -> Cells:
+    """
+    Return the cells after an image.
+
+    Parameters
+    ----------
+    view : View
+    steps : (3, 3) float64
+        Of :meth:`View.steps`.
+    cells : Cells
+    is_own : (K,) bool
+        Found planes that are this plane.
+    tolerance_m : float
+        A pixel this far off the plane, and by the noise, hides the cell or shows that it is gone.
+
+    """
+    hits, looks = cells.hits.copy(), cells.looks.copy()
+    _vote(view.labels, view.depth_m, view.camera, steps, is_own, (tolerance_m, 3 * view.noise),
+          hits, looks)
+    return Cells(cells.low, hits, looks, cells.size_m)
+
+
+def are_near(flat_m: np.ndarray, cells: Cells, reach_m: float) -> float:
+    """Return the share of points (N, 2), along u and v, with a seen cell within reach."""
+    low = np.array(cells.low, float)
+    return _are_near(np.ascontiguousarray(flat_m / cells.size_m - low), cells.hits, cells.looks,
+                     int(np.ceil(reach_m / cells.size_m)))
+
+
+def resampled(cells: Cells, low: tuple[int, int], shape: tuple[int, int], to_other: np.ndarray
+              ) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Return hits and looks of other cells, each that of the nearest of these cells; 0 outside.
+
+    ``to_other`` (2, 3) maps u, v and 1 of the other cells to u and v of these, in cells.
+    """
+    return _resampled(cells.hits, cells.looks, np.array(cells.low), np.array(low),
+                      np.array(shape), to_other)
+
+
+# Read-only, for views of messages.
+_LABELS, _DEPTH = (f"Array({kind}, 2, 'C', readonly=True)" for kind in ('int32', 'float32'))
+
+
+@kernel('UniTuple(int64, 2)(UniTuple(float64, 4), float64[:, ::1], UniTuple(int64, 2), int64, '
+        'int64)', is_short=True)
+def _in_view(camera, steps, shape, row, columns):
+    """Return the first and the last + 1 column of the cells of a row that are in the image."""
+    fx, fy, cx, cy = camera
+    start = steps[0] + row * steps[2]
+    low, high = 0.0, float(columns)
+    for side in range(5):
+        # Each border is a plane through the camera: in view where by_x x + by_y y + by_z z >= 0.
+        by_x, by_y, by_z, least = 0.0, 0.0, 1.0, 0.05
+        if side < 2:
+            by_x, least = (fx if side == 0 else -fx), 0.0
+            by_z = cx + 0.5 if side == 0 else shape[1] - cx - 0.5001
+        elif side < 4:
+            by_y, least = (fy if side == 2 else -fy), 0.0
+            by_z = cy + 0.5 if side == 2 else shape[0] - cy - 0.5001
+        value = by_x * start[0] + by_y * start[1] + by_z * start[2] - least
+        slope = by_x * steps[1, 0] + by_y * steps[1, 1] + by_z * steps[1, 2]
+        if slope > 0:
+            low = max(low, -value / slope)
+        elif slope < 0:
+            high = min(high, -value / slope)
+        elif value < 0:
+            return 0, 0
+    if not low < high:
+        return 0, 0
+    return int(np.ceil(low)), int(np.ceil(high))
+
+
+@kernel(f'int64[::1]({_LABELS}, UniTuple(float64, 4), float64[:, ::1], uint8[:, ::1], '
+        'uint8[:, ::1], int64)', is_short=True)
+def _shared_cells(labels, camera, steps, hits, looks, count):
+    fx, fy, cx, cy = camera
+    shared = np.zeros(count + 1, np.int64)
+    for i in range(0, hits.shape[0], 2):
+        first, last = _in_view(camera, steps, labels.shape, i, hits.shape[1])
+        for j in range(first + first % 2, last, 2):
+            if hits[i, j] <= SEEN_SHARE * looks[i, j]:
+                continue
+            z = steps[0, 2] + j * steps[1, 2] + i * steps[2, 2]
+            x = steps[0, 0] + j * steps[1, 0] + i * steps[2, 0]
+            y = steps[0, 1] + j * steps[1, 1] + i * steps[2, 1]
+            column, row = int(fx * x / z + cx + 0.5), int(fy * y / z + cy + 0.5)
+            shared[count] += 1
+            label = labels[row, column]
+            if 0 <= label < count:
+                shared[label] += 1
+    return shared
+
+
+@kernel(f'void({_LABELS}, {_DEPTH}, UniTuple(float64, 4), float64[:, ::1], '
+        'boolean[::1], UniTuple(float64, 2), uint8[:, ::1], uint8[:, ::1])', is_short=True)
+def _vote(labels, depth_m, camera, steps, is_own, tolerance, hits, looks):
+    fx, fy, cx, cy = camera
+    # The normal of the plane, for the angle at which a ray meets it.
+    n_x = steps[1, 1] * steps[2, 2] - steps[1, 2] * steps[2, 1]
+    n_y = steps[1, 2] * steps[2, 0] - steps[1, 0] * steps[2, 2]
+    n_z = steps[1, 0] * steps[2, 1] - steps[1, 1] * steps[2, 0]
+    length = np.sqrt(n_x * n_x + n_y * n_y + n_z * n_z)
+    distance = abs(n_x * steps[0, 0] + n_y * steps[0, 1] + n_z * steps[0, 2]) / length
+    for i in range(hits.shape[0]):
+        first, last = _in_view(camera, steps, labels.shape, i, hits.shape[1])
+        for j in range(first, last):
+            z = steps[0, 2] + j * steps[1, 2] + i * steps[2, 2]
+            x = steps[0, 0] + j * steps[1, 0] + i * steps[2, 0]
+            y = steps[0, 1] + j * steps[1, 1] + i * steps[2, 1]
+            column, row = int(fx * x / z + cx + 0.5), int(fy * y / z + cy + 0.5)
+            label, depth = labels[row, column], depth_m[row, column]
+            is_hit = 0 <= label < len(is_own) and is_own[label]
+            weight = 1
+            if not is_hit:
+                # How far the pixel's point is off the plane, along the normal.
+                behind = distance * (depth / z - 1)
+                limit = tolerance[0] + tolerance[1] * z * distance
+                # Hidden, or depth is missing, or an unexplained pixel on the plane.
+                if not behind >= -limit or (label < 0 and not behind > limit):
+                    continue
+                weight = THROUGH if behind > limit else 1
+            if looks[i, j] >= MOST_LOOKS:
+                looks[i, j] //= 2
+                hits[i, j] //= 2
+            looks[i, j] += weight
+            hits[i, j] += is_hit
+
+
+@kernel('UniTuple(int64, 6)(uint8[:, ::1], uint8[:, ::1])', is_short=True)
+def _sums(hits, looks):
+    count, columns, rows, hit, looked, ever = 0, 0, 0, 0, 0, 0
+    for i in range(hits.shape[0]):
+        for j in range(hits.shape[1]):
+            ever += hits[i, j] > 0
+            if hits[i, j] > SEEN_SHARE * looks[i, j]:
+                count, columns, rows = count + 1, columns + j, rows + i
+                hit, looked = hit + int(hits[i, j]), looked + int(looks[i, j])
+    return count, columns, rows, hit, looked, ever
+
+
+@kernel('float64(float64[:, ::1], uint8[:, ::1], uint8[:, ::1], int64)', is_short=True)
+def _are_near(points, hits, looks, reach):
+    near = 0
+    for k in range(len(points)):
+        column, row = int(np.floor(points[k, 0])), int(np.floor(points[k, 1]))
+        is_near = False
+        for i in range(max(row - reach, 0), min(row + reach + 1, hits.shape[0])):
+            for j in range(max(column - reach, 0), min(column + reach + 1, hits.shape[1])):
+                if hits[i, j] > SEEN_SHARE * looks[i, j]:
+                    is_near = True
+                    break
+            if is_near:
+                break
+        near += is_near
+    return near / max(len(points), 1)
+
+
+@kernel('UniTuple(uint8[:, ::1], 2)(uint8[:, ::1], uint8[:, ::1], int64[::1], int64[::1], '
+        'int64[::1], float64[:, ::1])', is_short=True)
+def _resampled(hits, looks, low, other_low, shape, to_other):
+    new_hits = np.zeros((shape[0], shape[1]), np.uint8)
+    new_looks = np.zeros((shape[0], shape[1]), np.uint8)
+    for i in range(shape[0]):
+        for j in range(shape[1]):
+            u, v = j + other_low[0] + 0.5, i + other_low[1] + 0.5
+            x = to_other[0, 0] * u + to_other[0, 1] * v + to_other[0, 2]
+            y = to_other[1, 0] * u + to_other[1, 1] * v + to_other[1, 2]
+            column, row = int(np.floor(x)) - low[0], int(np.floor(y)) - low[1]
+            if 0 <= row < hits.shape[0] and 0 <= column < hits.shape[1]:
+                new_hits[i, j], new_looks[i, j] = hits[row, column], looks[row, column]
+    return new_hits, new_looks

@@ -1,0 +1,122 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""Planes of the map that turn out to be one surface become one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from plane_detector.mapping.association import reach_of
+from plane_detector.mapping.cells import Cells, are_near, resampled
+from plane_detector.mapping.heights import heights_of, squared_misfits
+from plane_detector.mapping.map_plane import MapPlane, as_planes, frames_of
+from plane_detector.mapping.registration import GATE
+
+# chosen: what a robot takes for one surface; steps of 2 cm stay by chi-squared or as shown apart.
+_MOST_DISTANCE_M = 0.03
+_MIN_COSINE = np.cos(np.radians(10.0))
+_CONTACT_POINTS = 64
+_ONE = np.zeros(1, int)
+
+
+def merge_touched(planes: Sequence[MapPlane], touched: np.ndarray, up: np.ndarray
+                  ) -> tuple[tuple[MapPlane, ...], dict[int, int]]:
+    """
+    Merge planes that an image has changed with others of the same surface.
+
+    Parameters
+    ----------
+    planes : sequence of MapPlane
+    touched : (K,) int
+        Labels of the planes that have changed.
+    up : (3,) float64
+
+    Returns
+    -------
+    tuple of MapPlane
+    dict
+        Labels that are gone, and the labels of the planes that they are part of now.
+
+    """
+    known, gone = {plane.label: plane for plane in planes}, {}
+    table = as_planes(planes)
+    normals, offsets, centroids = table.normals, table.offsets_m, table.centroids_m
+    labels = table.labels.tolist()
+    for label in sorted(set(touched.tolist()) & set(labels)):
+        k = labels.index(label)
+        away_m = np.maximum(abs(centroids @ normals[k] + offsets[k]),
+                            abs(normals @ centroids[k] + offsets))
+        close = (normals @ normals[k] > _MIN_COSINE) & (away_m < 2 * _MOST_DISTANCE_M)
+        for other in [labels[i] for i in np.flatnonzero(close) if i != k]:
+            if label not in known or other not in known:
+                continue
+            larger, smaller = sorted((known[label], known[other]),
+                                     key=lambda plane: -plane.cells.count)
+            if not _are_one(larger, smaller, up):
+                continue
+            known[larger.label] = _joined(larger, smaller)
+            del known[smaller.label]
+            gone[smaller.label] = larger.label
+            for plane in known.values():
+                if smaller.label in plane.apart:
+                    known[plane.label] = replace(plane, apart=plane.apart - {smaller.label}
+                                                 | {larger.label})
+    # A chain of merges ends at the last one.
+    return tuple(known.values()), {old: _last(gone, old) for old in gone}
+
+
+def _last(gone: dict[int, int], label: int) -> int:
+    while label in gone:
+        label = gone[label]
+    return label
+
+
+def _are_one(larger: MapPlane, smaller: MapPlane, up: np.ndarray) -> bool:
+    if smaller.label in larger.apart or larger.label in smaller.apart:
+        return False
+    frame = frames_of([larger])
+    heights, covariances, _ = heights_of(frame, as_planes([smaller]), _ONE)
+    if squared_misfits(frame, heights, covariances)[0] >= GATE or not smaller.cells.count:
+        return False
+    flat_m = smaller.cells.middles_m()
+    flat_m = larger.flat(smaller.points(flat_m[::-(-len(flat_m) // _CONTACT_POINTS)]))
+    misfit = heights[0] - larger.coefficients
+    distance_m = abs(np.column_stack([flat_m, np.ones(len(flat_m))]) @ misfit).mean()
+    return (distance_m < _MOST_DISTANCE_M
+            and are_near(flat_m, larger.cells, min(reach_of(larger, up),
+                                                   reach_of(smaller, up))) > 0)
+
+
+def _joined(larger: MapPlane, smaller: MapPlane) -> MapPlane:
+    """Return a plane with the cells and the information of both, in the frame of the larger."""
+    heights, covariances, _ = heights_of(frames_of([larger]), as_planes([smaller]), _ONE)
+    information = np.linalg.inv([larger.covariance, covariances[0]])
+    joint = np.linalg.inv(information.sum(axis=0))
+    coefficients = joint @ (information[0] @ larger.coefficients + information[1] @ heights[0])
+    return replace(larger, coefficients=coefficients, covariance=joint,
+                   cells=_joined_cells(larger, smaller), views=larger.views + smaller.views,
+                   first_seen_s=min(larger.first_seen_s, smaller.first_seen_s),
+                   last_seen_s=max(larger.last_seen_s, smaller.last_seen_s),
+                   first_image=min(larger.first_image, smaller.first_image),
+                   votes=larger.votes + smaller.votes, apart=larger.apart | smaller.apart)
+
+
+def _joined_cells(larger: MapPlane, smaller: MapPlane) -> Cells:
+    low_m, high_m = smaller.cells.bounds_m
+    corners = smaller.points(np.array([[u, v] for u in (low_m[0], high_m[0])
+                                       for v in (low_m[1], high_m[1])]))
+    flat_m = larger.flat(corners)
+    cells = larger.cells.grown(flat_m.min(axis=0), flat_m.max(axis=0))
+    # From u, v of the larger plane to those of the smaller one, both in cells.
+    a, b, c = larger.coefficients
+    along = np.array([larger.axes[0] + a * larger.axes[2], larger.axes[1] + b * larger.axes[2]])
+    shift = larger.origin_m + c * larger.axes[2] - smaller.origin_m
+    to_smaller = np.column_stack([smaller.axes[:2] @ along.T,
+                                  smaller.axes[:2] @ shift / cells.size_m])
+    hits, looks = resampled(smaller.cells, cells.low, cells.hits.shape, to_smaller)
+    is_better = hits > cells.hits
+    return Cells(cells.low, np.where(is_better, hits, cells.hits),
+                 np.where(is_better, looks, cells.looks), cells.size_m)

@@ -1,0 +1,428 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""One lasting plane for one surface, from the planes of images and the poses of their camera."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from plane_detector.compilation import load_once
+from plane_detector.config import MapConfig
+from plane_detector.geometry.projection import pixel_rays
+from plane_detector.geometry.rigid_transform import RigidTransform
+from plane_detector.mapping.association import (
+    apart_in_image,
+    assign,
+    compare,
+    fitting,
+    visible,
+)
+from plane_detector.mapping.cells import Cells, View, vote
+from plane_detector.mapping.heights import PlaneFrames, heights_of, with_pose_error
+from plane_detector.mapping.map_file import SavedMap, read_map, write_map
+from plane_detector.mapping.map_plane import CLASSES, MapPlane, as_planes, frames_of, new_axes
+from plane_detector.mapping.merging import merge_touched
+from plane_detector.mapping.registration import (
+    Correction,
+    Prediction,
+    motion,
+    predict,
+    register,
+)
+from plane_detector.planes.placed import PlacedDetection
+from plane_detector.planes.region_samples import MIN_COSINE
+from plane_detector.scale.estimate import RELATIVE
+from plane_detector.types import CameraIntrinsics, Detection, Planes
+
+MOST_PLANES = 2000
+"""More are not added: the memory is limited."""
+# The plane fitted to an exact surface differs by this, 1/m: rounding of depth and poses.
+_LEAST_SYSTEMATIC = 1.5e-4
+# derived: rows on which points of found planes are sampled; the smallest plane that is found, of
+# .3 % of the pixels, has about fifteen.
+_ROWS = 60
+FORGETTING = 0.95
+# A view counts fully if the camera has moved this far since the last image.
+_MOVED_M, _TURNED_RAD = 0.05, np.radians(3.0)
+# A plane becomes one of the map if its normal is known within this.
+_MOST_TILT_RAD = np.radians(5.0)
+# A cell is hidden or gone if its pixel is this far off the plane, and by its noise.
+_TOLERANCE_M = 0.03
+# A jump explains so many times as many pixels, in this many images in a row.
+_JUMP_GAIN, _JUMP_IMAGES = 1.2, 2
+# Of the image, what is unexplained although a known plane is there, before a jump is tried.
+_UNEXPLAINED = 0.1
+# A found plane shows the map's plane if they share so much of the smaller one.
+_SAME_PLACE = 0.3
+# A plane that was found in one image only is dropped after so many.
+_FORGOTTEN_IMAGES = 30
+
+
+@dataclass(frozen=True)
+class MapUpdate:
+    """What an image has changed."""
+
+    labels: np.ndarray  # (K,) int, label in the map of each found plane, 0 none
+    explained: float  # share of the pixels of its planes that known planes explain
+    jump_m: float = 0.0  # by how much the poses have jumped; 0: they have not
+    subsumed: Mapping[int, int] = field(default_factory=dict)  # label: the one it is part of now
+    is_full: bool = False  # planes were left out because there are too many
+
+
+@dataclass(frozen=True)
+class MapSnapshot:
+    """The map after an image."""
+
+    surfaces: tuple[MapPlane, ...]
+    planes: Planes  # the same in the frame of the poses, where the last pose sees them
+    to_poses: RigidTransform  # from the frame of the map
+
+
+class PlaneMap:
+    """
+    The planes of all images so far.
+
+    Examples
+    --------
+    >>> from plane_detector import CameraIntrinsics, PlaneDetector
+    >>> camera = CameraIntrinsics.from_field_of_view(160, 120, 60.0)
+    >>> detector = PlaneDetector(depth_model=lambda rgb: np.full(rgb.shape[:2], 2.0, np.float32))
+    >>> found = detector.detect(np.zeros((120, 160, 3), np.uint8), camera)
+    >>> walls = PlaneMap()
+    >>> for _ in range(2):
+    ...     update = walls.update(PlacedDetection(found, camera, RigidTransform.identity(), 0.0))
+    >>> update.labels, [round(plane.cells.area_m2, 1) for plane in walls.planes]
+    (array([1]), [4.0])
+
+    """
+
+    def __init__(self, config: MapConfig | None = None):
+        self.config = config or MapConfig()
+        self._next_label = 1
+        self.clear()
+
+    def clear(self) -> None:
+        """Discard all planes and the correction; labels are not used again."""
+        self.planes: tuple[MapPlane, ...] = ()
+        self.correction = Correction.none()
+        self.images = 0
+        self.up = np.array([0.0, 0.0, 1.0])
+        self._jump_images = 0
+        self.jitter_m = 0.0
+
+    def update(self, placed: PlacedDetection) -> MapUpdate:
+        """
+        Add the planes of an image.
+
+        Raises
+        ------
+        ValueError
+            The pose or the unit of the depth is not known.
+
+        """
+        if placed.pose is None:
+            raise ValueError('there is no map without poses')
+        if placed.detection.scale_method == RELATIVE:
+            raise ValueError('there is no map without metres, and the scale of the depth is not '
+                             'known: see scale.method')
+        load_once('mapping')
+        image = _Image.of(placed)
+        # 1. The pose with the carried correction.
+        prediction = predict(self.correction, placed.pose, self.config)
+        # 2. to 5. Planes in view, candidates, the correction by them, candidates again.
+        attempt = self._registered(prediction, image)
+        jump_m = 0.0
+        if attempt.unexplained > _UNEXPLAINED:
+            # Or has the pose jumped?
+            wide = self._registered(prediction.widened(), image)
+            if wide.explained > max(_JUMP_GAIN * attempt.explained, _UNEXPLAINED):
+                self._jump_images += 1
+                if self._jump_images < _JUMP_IMAGES:
+                    return MapUpdate(self._labels(attempt), attempt.explained)
+                jump_m = motion(attempt.correction.camera, wide.correction.camera)[0]
+                attempt = wide
+        self._jump_images = 0
+        # 6. Found planes are assigned; two that this image shows apart stay apart.
+        before, self.correction = self.correction, attempt.correction
+        self._note_jitter(attempt.correction)
+        self.images += 1
+        if image.down is not None:
+            self.up = -attempt.correction.camera.rotation @ image.down
+        # 7. and 8. Fuse them; vote the cells.
+        self.planes, labels, is_full = self._fused(attempt, image, self._weight(before))
+        # 9. Merge what is one surface.
+        self.planes, subsumed = merge_touched(self.planes, labels, self.up)
+        # 10. Drop what has no cells left, or was seen only once.
+        self.planes = tuple(plane for plane in self.planes if self._is_kept(plane))
+        labels = np.array([subsumed.get(label, label) for label in labels.tolist()], int)
+        return MapUpdate(labels, attempt.explained, jump_m, subsumed, is_full)
+
+    def snapshot(self) -> MapSnapshot:
+        """Return the planes that are sure, where the last pose sees them."""
+        sure = tuple(plane for plane in self.planes if plane.views > 1 or self.images < 2)
+        # The error of the correction is common to all planes.
+        planes = with_pose_error(as_planes(sure), self.correction.error, self._camera_m)
+        to_poses = self.correction.transform.inverse()
+        return MapSnapshot(sure, planes.moved(to_poses), to_poses)
+
+    def save(self, path: Path, frame_id: str, stamp_s: float) -> None:
+        """
+        Write the map to a file, whole or not at all.
+
+        Raises
+        ------
+        OSError
+            It cannot be written.
+
+        """
+        write_map(path, SavedMap(self.planes, self.correction.transform, frame_id, stamp_s))
+
+    def lose_pose(self) -> None:
+        """Note that the next pose may be off by as much as a jump, as after time jumped back."""
+        self.correction = Correction.loaded(self.correction.transform)
+
+    def load(self, path: Path, frame_id: str) -> None:
+        """
+        Replace the map by that of a file; on an error it stays as it is.
+
+        The poses may since be off by as much as a jump.
+
+        Raises
+        ------
+        OSError
+            The file cannot be read.
+        ValueError
+            It is no whole map, or of another frame or a later version.
+
+        """
+        saved = read_map(path, frame_id)
+        self.clear()
+        self.planes = saved.planes
+        self.correction = Correction.loaded(saved.transform)
+        self._next_label = max([self._next_label, *(1 + plane.label for plane in saved.planes)])
+
+    def _note_jitter(self, correction: Correction) -> None:
+        """Average how far the pose of an image is off the carried one, over some twenty images."""
+        camera, lasting = correction.camera, correction.lasting.after(correction.pose)
+        off_m = np.linalg.norm(camera.translation_m - lasting.translation_m)
+        self.jitter_m = float(np.hypot(np.sqrt(0.95) * self.jitter_m, np.sqrt(0.05) * off_m))
+
+    @property
+    def _camera_m(self) -> np.ndarray:
+        return self.correction.camera.translation_m if self.correction.pose else np.zeros(3)
+
+    def _registered(self, prediction: Prediction, image: _Image) -> _Attempt:
+        """Return the correction of an image by the planes of the map, and which ones it shows."""
+        all_frames = frames_of(self.planes)
+        correction = register(prediction, image.found, all_frames, np.zeros(0, int))
+        # Under the predicted pose, then under the one registered to what fits to it.
+        for is_last in (False, True):
+            camera = correction.camera
+            moved, view = image.found.moved(camera), image.view(camera)
+            index, counts = visible(self.planes, all_frames, view)
+            frames = all_frames.picked(index)
+            sizes = image.found.areas_m2 / (2 * self.config.cell)**2
+            pairs = compare(frames, moved, counts, sizes, correction.error, camera.translation_m)
+            points_m = [camera.points(points) for points in image.points_m]
+            fit = fitting(pairs, [self.planes[k] for k in index], points_m, self.up)
+            taken = assign(fit, image.apart, len(moved))
+            if not is_last:
+                shown = np.flatnonzero(taken >= 0)
+                correction = register(prediction, image.found, frames.picked(taken[shown]), shown)
+        beside = pairs.picked((pairs.shared > _SAME_PLACE) & (taken[pairs.new] < 0))
+        total = max(image.found.counts.sum(), 1)
+        return _Attempt(
+            correction, view, moved, points_m, index, np.append(index, -1)[taken],
+            float(image.found.counts[taken >= 0].sum() / total),
+            float(image.found.counts[np.unique(beside.new)].sum() / total))
+
+    def _fused(self, attempt: _Attempt, image: _Image, weight: float
+               ) -> tuple[tuple[MapPlane, ...], np.ndarray, bool]:
+        """Return the planes after an image, the label of each found plane, and whether full."""
+        planes, taken = list(self.planes), attempt.taken.copy()
+        self._fuse(planes, attempt, image, weight)
+        tilt_rad = np.sqrt(np.einsum('kii->k', attempt.found.covariances[:, :3, :3]))
+        is_new = (taken < 0) & (tilt_rad < _MOST_TILT_RAD)
+        is_full = bool(is_new.sum() + len(planes) > MOST_PLANES)
+        fresh = np.flatnonzero(is_new)[:max(MOST_PLANES - len(planes), 0)]
+        taken[fresh] = len(planes) + np.arange(len(fresh))
+        planes += self._new(attempt, image, fresh)
+        labels = np.array([planes[k].label if k >= 0 else 0 for k in taken], int)
+        self._vote(planes, attempt, image, taken, labels)
+        return tuple(planes), labels, is_full
+
+    @staticmethod
+    def _fuse(planes: list[MapPlane], attempt: _Attempt, image: _Image, weight: float) -> None:
+        """
+        Fuse the found planes that are in the map with them, in place.
+
+        By the sum of information; what is known loses its share by the forgetting.
+        """
+        shown = np.flatnonzero(attempt.taken >= 0)
+        old, place = np.unique(attempt.taken[shown], return_inverse=True)
+        frames = frames_of([planes[k] for k in old])
+        heights, covariances, _ = heights_of(
+            frames.picked(place), attempt.found, shown, attempt.correction.error,
+            attempt.correction.camera.translation_m)
+        known = FORGETTING**weight * np.linalg.inv(frames.covariances)
+        added = weight * np.linalg.inv(covariances)
+        vectors = (known @ frames.coefficients[:, :, None])[:, :, 0]
+        np.add.at(known, place, added)
+        np.add.at(vectors, place, (added @ heights[:, :, None])[:, :, 0])
+        joint = np.linalg.inv(known)
+        coefficients = (joint @ vectors[:, :, None])[:, :, 0]
+        votes = np.zeros((len(old), CLASSES))
+        np.add.at(votes, (place, image.found.classes[shown]), weight)
+        for k, index in enumerate(old.tolist()):
+            plane = planes[index]
+            planes[index] = replace(plane, coefficients=coefficients[k], covariance=joint[k],
+                                    votes=plane.votes + votes[k])
+
+    def _new(self, attempt: _Attempt, image: _Image, fresh: np.ndarray) -> list[MapPlane]:
+        """Return planes of the map for found planes that are not in it yet."""
+        found = attempt.found
+        normals = found.normals[fresh]
+        middles_m = np.array([attempt.points_m[k].mean(axis=0) for k in fresh]).reshape(-1, 3)
+        frames = PlaneFrames(middles_m, new_axes(normals, self.up), np.zeros((len(fresh), 3)),
+                             np.zeros((len(fresh), 3, 3)))
+        heights, covariances, _ = heights_of(frames, found, fresh, attempt.correction.error,
+                                             attempt.correction.camera.translation_m)
+        first, self._next_label = self._next_label, self._next_label + len(fresh)
+        return [MapPlane(first + k, middles_m[k], frames.axes[k], heights[k], covariances[k],
+                         Cells.none(self.config.cell), 0, image.stamp_s, image.stamp_s,
+                         self.images, np.eye(CLASSES)[image.found.classes[fresh[k]]])
+                for k in range(len(fresh))]
+
+    def _vote(self, planes: list[MapPlane], attempt: _Attempt, image: _Image,
+              taken: np.ndarray, labels: np.ndarray) -> None:
+        """Vote the cells of the planes in view, in place."""
+        in_view = np.unique(np.append(attempt.index, taken[taken >= 0]))
+        cells = []
+        for index in in_view.tolist():
+            plane, own = planes[index], np.flatnonzero(taken == index)
+            cells.append(plane.cells)
+            if not len(own):
+                continue
+            flat_m = plane.flat(np.concatenate([attempt.points_m[k] for k in own]))
+            low_m, high_m = flat_m.min(axis=0), flat_m.max(axis=0)
+            border_m = 0.05 * (high_m - low_m) + 2 * self.config.cell
+            cells[-1] = plane.cells.grown(low_m - border_m, high_m + border_m)
+            others = set(labels[image.beside[own].any(axis=0)].tolist()) - {0, plane.label}
+            planes[index] = replace(plane, views=plane.views + 1, last_seen_s=image.stamp_s,
+                                    apart=plane.apart | others)
+        steps = attempt.view.steps(
+            frames_of([planes[k] for k in in_view]),
+            np.array([one.low for one in cells]).reshape(-1, 2), self.config.cell)
+        for k, index in enumerate(in_view.tolist()):
+            planes[index] = replace(planes[index], cells=vote(
+                attempt.view, steps[k], cells[k], taken == index, _TOLERANCE_M))
+
+    def _weight(self, before: Correction) -> float:
+        """Return how much a view counts, 0 to 1, by how far the camera has moved."""
+        if before.pose is None:
+            return 1.0
+        way_m, turn_rad = motion(before.camera, self.correction.camera)
+        return min(1.0, way_m / _MOVED_M + turn_rad / _TURNED_RAD)
+
+    def _labels(self, attempt: _Attempt) -> np.ndarray:
+        return np.array([self.planes[k].label if k >= 0 else 0 for k in attempt.taken], int)
+
+    def _is_kept(self, plane: MapPlane) -> bool:
+        return not plane.cells.is_gone and (
+            plane.views > 1 or self.images - plane.first_image < _FORGOTTEN_IMAGES)
+
+
+@dataclass(frozen=True)
+class _Image:
+    """An image as the map needs it, in the frame of the camera."""
+
+    placed: PlacedDetection
+    found: Planes
+    apart: np.ndarray  # (K, K) bool, not one plane, whatever the pose is
+    beside: np.ndarray  # (K, K) bool, of these those on the same side
+    points_m: list[np.ndarray]  # (N, 3) of each found plane: some pixels' rays on it
+    noise: float  # standard deviation of the disparity, 1/m
+
+    @classmethod
+    def of(cls, placed: PlacedDetection) -> _Image:
+        detection, intrinsics = placed.detection, placed.intrinsics
+        systematic = max(detection.systematic_noise, _LEAST_SYSTEMATIC)
+        found = found_planes(detection, intrinsics, systematic)
+        apart, same_side = apart_in_image(found)
+        return cls(placed, found, apart, apart & same_side,
+                   _sampled(detection.labels, found, intrinsics),
+                   float(np.hypot(detection.disparity_noise, systematic)))
+
+    @property
+    def stamp_s(self) -> float:
+        return self.placed.stamp_s
+
+    @property
+    def down(self) -> np.ndarray | None:
+        return self.placed.detection.gravity_camera
+
+    def view(self, camera: RigidTransform) -> View:
+        """Return the image from a pose in the map."""
+        detection = self.placed.detection
+        return View.of(detection.labels, detection.depth_m, self.placed.intrinsics,
+                       camera.inverse(), len(self.found), self.noise)
+
+
+@dataclass(frozen=True)
+class _Attempt:
+    """An image under one correction, in the frame of the map."""
+
+    correction: Correction
+    view: View
+    found: Planes
+    points_m: list[np.ndarray]
+    index: np.ndarray  # (M,) int, planes of the map that are in view
+    taken: np.ndarray  # (K,) int, plane of the map, -1 none
+    explained: float  # share of the pixels of the found planes
+    unexplained: float  # ... and of those that do not fit although a known plane is there
+
+
+def found_planes(detection: Detection, intrinsics: CameraIntrinsics, systematic: float
+                 ) -> Planes:
+    """
+    Return the planes of an image as arrays, with the systematic error of the sensor.
+
+    It shifts a plane and tilts it over its extent: as 1/z = m . r of the ray r, with m = -n / d.
+    """
+    planes = detection.planes
+    normals, offsets_m, centroids_m = planes.normals, planes.offsets_m, planes.centroids_m
+    radius = np.sqrt(planes.counts / np.pi / (intrinsics.fx * intrinsics.fy))
+    middle = centroids_m[:, :2] / np.maximum(centroids_m[:, 2:], 1e-3)
+    by_error = np.zeros((len(planes), 3, 3))  # of m, by slopes along x and y, and a shift
+    by_error[:, 0, 0] = by_error[:, 1, 1] = 1 / np.maximum(radius, 1e-3)
+    by_error[:, 2, :2] = -middle * by_error[:, 0, 0, None]
+    by_error[:, 2, 2] = 1.0
+    by_m = np.empty((len(planes), 4, 3))  # of normal and offset
+    by_m[:, :3] = offsets_m[:, None, None] * (
+        normals[:, :, None] * normals[:, None, :] - np.eye(3))
+    by_m[:, 3] = normals * offsets_m[:, None] ** 2
+    jacobian = systematic * by_m @ by_error
+    return replace(planes, covariances=planes.covariances
+                   + jacobian @ jacobian.transpose(0, 2, 1))
+
+
+def _sampled(labels: np.ndarray, found: Planes, intrinsics: CameraIntrinsics
+             ) -> list[np.ndarray]:
+    """Return points (N, 3) of each plane: its centroid, and where rays of some pixels meet it."""
+    step = max(1, len(labels) // _ROWS)
+    some = labels[step // 2::step, step // 2::step]
+    ray_x, ray_y = (ray[step // 2::step] for ray in pixel_rays(intrinsics))
+    rows, columns = np.nonzero(some >= 0)
+    plane = some[rows, columns]
+    rays = np.column_stack([ray_x[columns], ray_y[rows], np.ones(len(rows))])
+    facing = -(rays * found.normals[plane]).sum(axis=1)
+    points_m = rays * (found.offsets_m[plane] / np.maximum(facing, MIN_COSINE))[:, None]
+    plane = np.append(plane, np.arange(len(found)))
+    points_m = np.concatenate([points_m, found.centroids_m])
+    order = np.argsort(plane, kind='stable')
+    ends = np.searchsorted(plane[order], np.arange(len(found) + 1))
+    return [points_m[order[begin:end]] for begin, end in zip(ends[:-1], ends[1:], strict=True)]

@@ -1,0 +1,161 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""The map of a node or of a replay: which images join it, when it is published, its messages."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+
+import numpy as np
+from std_msgs.msg import Header
+
+from plane_detector.config import MapConfig
+from plane_detector.mapping.plane_map import MapUpdate, PlaneMap
+from plane_detector.mapping.registration import MOST_CORRECTION_M
+from plane_detector.ros.outputs.frame import DetectedFrame, MapView
+
+# chosen: the map is published at most twice a second, by the stamps of the images.
+PERIOD_S = 0.5
+# chosen: a camera that has not moved for so many images may be fixed to the target frame.
+_STILL_IMAGES = 30
+
+
+class LiveMap:
+    """
+    A map of planes that several threads may use.
+
+    Parameters
+    ----------
+    config : MapConfig
+    target_frame : str
+        Frame of the poses.
+
+    Raises
+    ------
+    ValueError
+        There is no target frame.
+
+    """
+
+    def __init__(self, config: MapConfig, target_frame: str):
+        if not target_frame:
+            raise ValueError('map.enabled needs target_frame: a frame that does not move, such as '
+                             'odom or map')
+        self._map, self._frame_id, self._lock = PlaneMap(config), target_frame, threading.Lock()
+        self._epoch = 0
+        self._published_s = -np.inf
+        self._subsumed: dict[int, int] = {}
+        self._last: tuple[Header, MapUpdate] | None = None
+        self._last_s = 0.0  # stamp of that header
+        self._events: list[str] = []
+        self._last_jump_m = 0.0
+        self._still_images = 0
+        self._obstacle = ''
+        self._without_pose = 0
+
+    def add(self, frame: DetectedFrame, epoch: int = 0) -> MapView | None:
+        """Add an image if it can be; return the map if it is to be published now."""
+        if frame.pose is None:
+            self._without_pose += bool(frame.pose_problem)
+            self._obstacle = frame.pose_problem or (
+                f'no map: target_frame {self._frame_id} is the frame of the camera; set it to one '
+                'that does not move, such as odom or map')
+            return None
+        with self._lock:
+            if epoch != self._epoch:  # time jumped back: nothing is known of the pose
+                self._epoch, self._published_s = epoch, -np.inf
+                self._map.lose_pose()
+            before = self._map.correction.pose
+            try:
+                update = self._map.update(frame)
+            except ValueError as error:
+                self._obstacle = str(error)
+                return None
+            self._obstacle = ''
+            is_still = before is not None and np.array_equal(
+                before.translation_m, frame.pose.translation_m)
+            self._still_images = self._still_images + 1 if is_still else 0
+            if update.jump_m:
+                self._last_jump_m = update.jump_m
+                self._events.append(f'the poses have jumped by {100 * update.jump_m:.0f} cm: all '
+                                    'planes of the map moved along')
+            self._subsumed.update(update.subsumed)
+            self._last, self._last_s = (frame.target_header, update), frame.stamp_s
+            return None if abs(self._last_s - self._published_s) < PERIOD_S else self._view()
+
+    def rest(self) -> MapView | None:
+        """Return the map if images were added since it was returned last."""
+        with self._lock:
+            is_new = self._last is not None and self._published_s != self._last_s
+            return self._view() if is_new else None
+
+    def now(self) -> MapView | None:
+        """Return the map; None before the first image."""
+        with self._lock:
+            return None if self._last is None else MapView(self._last[0], self._map.snapshot())
+
+    def clear(self) -> str:
+        """Discard the map; return what was done."""
+        with self._lock:
+            count = len(self._map.planes)
+            self._map.clear()
+            self._published_s = -np.inf
+        return f'{count} planes are gone'
+
+    def save(self, path: Path) -> str:
+        """Write the map to a file; return what was done. OSError if it cannot be written."""
+        with self._lock:
+            self._map.save(path, self._frame_id, self._last_s)
+            return f'{len(self._map.planes)} planes are in {path.absolute()}'
+
+    def load(self, path: Path) -> str:
+        """Replace the map by that of a file; on an error, OSError or ValueError, it stays."""
+        with self._lock:
+            self._map.load(path, self._frame_id)
+            self._published_s = -np.inf
+            return f'{len(self._map.planes)} planes from {path.absolute()}'
+
+    def take_events(self) -> list[str]:
+        """Return what has happened since the last call: jumps of the poses."""
+        with self._lock:
+            events, self._events = self._events, []
+        return events
+
+    def facts(self) -> dict[str, str]:
+        """Return what the diagnostics say of the map."""
+        with self._lock:
+            facts = {'map.planes': str(len(self._map.planes)),
+                     'map.images_without_pose': str(self._without_pose)}
+            if self._last is not None:
+                moved_m, turned_deg = self._map.correction.size()
+                facts['map.correction'] = f'{100 * moved_m:.1f} cm, {turned_deg:.2f} degrees'
+                facts['map.explained'] = f'{self._last[1].explained:.0%}'
+            if self._last_jump_m:
+                facts['map.last_jump'] = f'{100 * self._last_jump_m:.0f} cm'
+            return facts
+
+    def problem(self) -> str:
+        """Return what is wrong with the poses or the map, and what to do; empty if nothing."""
+        with self._lock:
+            if self._obstacle or self._last is None:
+                return self._obstacle
+            if self._last[1].is_full:
+                return (f'the map has {len(self._map.planes)} planes and takes no more: call '
+                        '~/map/clear, or increase segmentation.min_plane_share')
+            moved_m, _ = self._map.correction.size()
+            if moved_m > MOST_CORRECTION_M:
+                hint = (f'; does {self._frame_id} move with the camera?'
+                        if self._still_images > _STILL_IMAGES else '')
+                return (f'the map corrects the poses by {100 * moved_m:.0f} cm: are the poses '
+                        f'good?{hint}')
+            jitter_m = self._map.jitter_m
+            if jitter_m > 2 * self._map.config.pose_jitter:
+                return (f'the poses jitter by {100 * jitter_m:.1f} cm, map.pose_jitter is '
+                        f'{100 * self._map.config.pose_jitter:.1f} cm: set it to {jitter_m:.3f}')
+            return ''
+
+    def _view(self) -> MapView:
+        self._published_s = self._last_s
+        subsumed, self._subsumed = self._subsumed, {}
+        return MapView(self._last[0], self._map.snapshot(), subsumed)

@@ -1,0 +1,124 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""The map of planes on short rendered walks with exact truth."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from plane_detector import Config, PlaneDetector
+from plane_detector.config import DepthConfig
+from plane_detector.evaluation.benchmark.map import record, score
+from plane_detector.evaluation.scenes.noise import with_disparity_noise
+from plane_detector.evaluation.scenes.walks import walk, with_errors
+from plane_detector.mapping.plane_map import PlacedDetection, PlaneMap
+from plane_detector.types import CameraIntrinsics
+
+CAMERA = CameraIntrinsics.from_field_of_view(160, 120, 70.0)
+
+
+# Less noise than in the benchmark: at a quarter of its pixels it is as smooth as a lens error.
+@cache
+def recording(name='box', images=40):
+    return record(name, 1, 0.0002, images, CAMERA)
+
+
+@pytest.mark.parametrize('kind', ['exact', 'drift', 'jitter'])
+def test_one_plane_for_one_surface_whatever_the_poses(kind):
+    result = score(recording(), kind, 0)
+    assert result.found >= result.surfaces - 1
+    assert result.pieces <= result.found + 1
+    assert result.of_none <= 1
+    assert np.median(result.offsets_m) < 0.01
+    assert result.jumps == 0
+
+
+def test_a_jump_is_found_and_the_planes_move_along():
+    result = score(recording(), 'jump 30', 0)
+    assert result.jumps == 1
+    assert result.found >= result.surfaces - 1
+    assert result.pieces <= result.found + 1
+
+
+def test_the_crate_that_went_leaves_nothing():
+    result = score(recording('crate', 48), 'exact', 0)
+    assert result.left == 0
+    assert result.found >= result.surfaces - 1
+
+
+def run(images=6, still=False, kind='exact'):
+    walked = recording().walked
+    poses = with_errors(walked.poses, kind, np.random.default_rng(0))
+    planes = PlaneMap()
+    updates = [planes.update(PlacedDetection(
+        recording().detections[0 if still else k], CAMERA, poses[0 if still else k], float(k)))
+        for k in range(images)]
+    return planes, updates
+
+
+def test_equal_images_give_equal_maps():
+    (first, _), (second, _) = run(), run()
+    for one, other in zip(first.planes, second.planes, strict=True):
+        assert one.label == other.label
+        assert (one.coefficients == other.coefficients).all()
+        assert (one.cells.hits == other.cells.hits).all()
+
+
+def test_a_standing_camera_does_not_become_sure():
+    few, many = (run(images, still=True)[0] for images in (2, 40))
+    for before, after in zip(few.planes, many.planes, strict=True):
+        assert np.diag(after.covariance) == pytest.approx(np.diag(before.covariance), rel=0.2)
+
+
+def test_without_metres_there_is_no_map():
+    planes, _ = run(1)
+    unscaled = replace(recording().detections[0], scale_method='relative')
+    with pytest.raises(ValueError, match='no map without metres'):
+        planes.update(PlacedDetection(unscaled, CAMERA, recording().walked.poses[0], 0.0))
+    assert planes.images == 1
+
+
+def test_labels_are_not_used_again_after_clear():
+    planes, updates = run(2)
+    planes.clear()
+    assert planes.planes == ()
+    update = planes.update(PlacedDetection(recording().detections[0], CAMERA,
+                                           recording().walked.poses[0], 0.0))
+    assert update.labels.min() > updates[-1].labels.max()
+
+
+def test_an_image_without_planes_changes_nothing():
+    planes, _ = run(3)
+    before = [plane.label for plane in planes.planes]
+    blank = PlaneDetector(Config(depth=DepthConfig(source='topic'))).detect(
+        np.zeros((120, 160, 3), np.uint8), CAMERA, np.full((120, 160), np.nan, np.float32))
+    update = planes.update(PlacedDetection(blank, CAMERA, recording().walked.poses[3], 0.0))
+    assert update.labels.size == 0
+    assert [plane.label for plane in planes.planes] == before
+
+
+def test_the_first_image_may_have_no_planes():
+    planes = PlaneMap()
+    blank = PlaneDetector(Config(depth=DepthConfig(source='topic'))).detect(
+        np.zeros((120, 160, 3), np.uint8), CAMERA, np.full((120, 160), np.nan, np.float32))
+    planes.update(PlacedDetection(blank, CAMERA, recording().walked.poses[0], 0.0))
+    assert planes.snapshot().surfaces == ()
+
+
+def test_both_sides_of_a_thin_panel_are_two_planes():
+    rng = np.random.default_rng(0)
+    walked = walk('panel', rng, 24)
+    detector = PlaneDetector(Config(depth=DepthConfig(source='topic')))
+    planes = PlaneMap()
+    for k in range(24):
+        scene = walked.scene(k, CAMERA, rng)
+        found = detector.detect(scene.rgb, CAMERA,
+                                with_disparity_noise(scene.depth_m, 0.001, rng))
+        planes.update(PlacedDetection(found, CAMERA, walked.poses[k], float(k)))
+    sides = [plane for plane in planes.planes
+             if abs(plane.axes[2, 2]) < 0.1 and np.linalg.norm(plane.centroid_m[:2]) < 0.5
+             and plane.cells.area_m2 > 0.5]
+    assert len(sides) == 2
+    assert sides[0].axes[2] @ sides[1].axes[2] < -0.99

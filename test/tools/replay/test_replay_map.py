@@ -1,0 +1,113 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""The map of planes from a bag: ~/map topics and the file, where the last pose sees it."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+from bags import messages_of, read_bag, write_bag
+from replay_helpers import CAMERA, camera_messages, stamp_s, time_ns
+from ros_helpers import FRAME_ID, cloud_array
+from rosbags.typesys import Stores, get_typestore
+from sensor_msgs.msg import PointCloud2
+from visualization_msgs.msg import MarkerArray
+
+from plane_detector.evaluation.scenes.walks import walk, with_errors
+
+TYPES = get_typestore(Stores.ROS2_JAZZY).types
+IMAGES = 8
+WITH_MAP = '-p', 'target_frame:=odom'
+
+
+def tf_message(pose, stamp_ns):
+    make = {name: TYPES[f'geometry_msgs/msg/{name}'] for name in (
+        'TransformStamped', 'Transform', 'Vector3', 'Quaternion')}
+    return TYPES['tf2_msgs/msg/TFMessage']([make['TransformStamped'](
+        header=TYPES['std_msgs/msg/Header'](
+            TYPES['builtin_interfaces/msg/Time'](stamp_ns // 10**9, stamp_ns % 10**9), 'odom'),
+        child_frame_id=FRAME_ID, transform=make['Transform'](
+            make['Vector3'](*pose.translation_m.tolist()),
+            make['Quaternion'](*pose.quaternion.tolist())))])
+
+
+@pytest.fixture(scope='module')
+def recorded(tmp_path_factory):
+    """Return a bag of a walk with drifting poses, these poses, and the last scene."""
+    rng = np.random.default_rng(4)
+    walked = walk('box', rng, 40)
+    scenes = [walked.scene(k, CAMERA, rng) for k in range(IMAGES)]
+    poses = with_errors(walked.poses[:IMAGES], 'drift', rng)
+    bag = write_bag(tmp_path_factory.mktemp('map') / 'walk', [
+        *(('/tf', time_ns(k), tf_message(poses[k], round(stamp_s(k) * 1e9)))
+          for k in range(IMAGES)), *camera_messages(scenes)])
+    return bag, poses, scenes[-1]
+
+
+def rows_of(target):
+    return cloud_array(messages_of(target, '/plane_detector/map/planes', PointCloud2)[-1])[0]
+
+
+def test_the_last_pose_sees_the_planes_of_the_map(recorded, replay, tmp_path):
+    bag, poses, scene = recorded
+    file = tmp_path / 'map.json'
+    code, target, text = replay(bag, *WITH_MAP, '--map', str(file))
+    assert code == 0, text
+    last = messages_of(target, '/plane_detector/map/planes', PointCloud2)[-1]
+    assert last.header.frame_id == 'odom'
+    assert last.header.stamp.nanosec == 700_000_000
+    rows, large = rows_of(target), 0
+    for k, (*normal_camera, offset_m) in enumerate(scene.planes):
+        if (scene.labels == k).mean() < 0.05:
+            continue
+        large += 1
+        normal = poses[-1].rotation @ normal_camera
+        d = offset_m - normal @ poses[-1].translation_m
+        off = [np.hypot(row['d'] - d, 3 * (1 - normal @ [
+            row['normal_x'], row['normal_y'], row['normal_z']])) for row in rows]
+        row = rows[np.argmin(off)]
+        assert row['d'] == pytest.approx(d, abs=0.015)
+        assert normal @ [row['normal_x'], row['normal_y'], row['normal_z']] > 0.9998
+        on_plane = row['d'] + sum(row[axis] * row[f'normal_{axis}'] for axis in 'xyz')
+        assert on_plane == pytest.approx(0, abs=1e-4)
+    assert large >= 3
+    assert (rows['views'] > 1).all()
+    assert (rows['sigma_d'] > 0).all()
+    assert rows['first_seen'].min() == pytest.approx(stamp_s(0), abs=0.2)
+    corners = cloud_array(messages_of(target, '/plane_detector/map/boundaries', PointCloud2)[-1])
+    assert set(corners[0]['label']) <= set(rows['label'])
+    markers = messages_of(target, '/plane_detector/map/markers', MarkerArray)[-1].markers
+    assert {marker.id for marker in markers[1:]} == set(rows['label'])
+    assert json.loads(file.read_text())['frame'] == 'odom'
+
+
+def test_a_map_goes_on_from_a_file(recorded, replay, tmp_path):
+    bag, *_ = recorded
+    file = tmp_path / 'map.json'
+    _, target, _ = replay(bag, *WITH_MAP, '--map', str(file), '--duration', '0.45')
+    before = rows_of(target)
+    shutil.rmtree(target)
+    code, target, text = replay(bag, *WITH_MAP, '--load', str(file), '--start', '0.35')
+    assert code == 0, text
+    after = rows_of(target)
+    assert set(after['label']) & set(before['label'][before['area'] > 1])
+    assert len(after) <= len(before) + 3
+
+
+def test_a_file_that_does_not_fit_ends_the_replay_with_the_reason(recorded, replay, tmp_path):
+    bag, *_ = recorded
+    file = tmp_path / 'map.json'
+    file.write_text('{"version": 2}')
+    code, _, text = replay(bag, *WITH_MAP, '--load', str(file))
+    assert code == 1
+    assert 'version 2, this program reads up to 1' in text
+    code, _, text = replay(bag, '--map', str(file))
+    assert code == 1
+    assert 'map.enabled needs target_frame' in text
+
+
+def test_without_a_map_there_are_no_topics_of_it(recorded, replay):
+    bag, *_ = recorded
+    _, target, _ = replay(bag, '--duration', '0.15')
+    assert not [topic for topic in read_bag(target) if '/map/' in topic]
