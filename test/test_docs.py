@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import importlib
 import importlib.util
 import re
 import shlex
@@ -95,6 +96,25 @@ def test_programs_are_entry_points():
     assert len(used) > 2
     for page, (program, *_) in used:
         assert f"f'{program} = " in setup, f'{page}: {program}'
+
+
+@pytest.mark.parametrize('program', ['replay', 'show', 'fetch', 'rviz'])
+def test_options_of_programs_are_in_their_help(program, capsys):
+    """Of each command of the documents: as ros2 run and as python -m start them."""
+    pytest.importorskip('rclpy')
+    entry = re.search(rf"f'{program} = {{NAME}}\.([\w.]+):main'", text_of(ROOT / 'setup.py'))[1]
+    main = importlib.import_module(f'plane_detector.{entry}').main
+    with pytest.raises(SystemExit):
+        main(['--help'])
+    explained = capsys.readouterr().out
+    module = f'plane_detector.{entry}'.removesuffix('.__main__')
+    used = uses('ros2', 'run', 'plane_detector', program) + uses('-m', module)
+    assert used
+    for page, words in used:
+        for option in (word.split('=')[0] for word in words if word.startswith('-')):
+            if option == '--ros-args':
+                break
+            assert re.search(rf'(?<![\w-]){option}(?![\w-])', explained), f'{page}: {option}'
 
 
 def test_modules_that_are_started_exist():
