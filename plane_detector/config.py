@@ -47,10 +47,6 @@ class DepthConfig(Settings, section='depth'):
     short_side: int = fixed_setting(
         0, 'short side of the input of a network that accepts any size; the other side follows '
         'from the aspect ratio of the image; 0: default of the network', 'px', 0, 8192)
-    target_rate: float = fixed_setting(
-        0.0, 'rate to keep on this machine: at configure the network is timed beside the plane '
-        'stage and the largest input size that keeps this rate is used or, if its size is fixed, '
-        'the largest number of views; 0: best quality', 'Hz', 0.0, 1000.0)
     views: int = fixed_setting(
         0, 'views that a metric network averages: 1: the whole image; 2, 3: also one or two crops '
         'with the field of view of its training, if that of the image is wider; 0: as stated in '

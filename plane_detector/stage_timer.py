@@ -5,9 +5,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
-from statistics import median
 
 from plane_detector.stopping import raise_if_stopped
 
@@ -41,15 +40,3 @@ class StageTimer:
         start = time.perf_counter()
         yield
         self.seconds[name] = time.perf_counter() - start
-
-
-def median_seconds(run: Callable[[], object]) -> float:
-    """Return the median time of three calls, s, after one that warms up."""
-    run()
-    times = []
-    for _ in range(3):
-        raise_if_stopped()
-        start = time.perf_counter()
-        run()
-        times.append(time.perf_counter() - start)
-    return median(times)

@@ -136,12 +136,6 @@ class DepthModel(Protocol):
     def edge_blur_px(self, width: int, height: int) -> float:
         """Return the largest error of depth edges, in pixels of an image of this size."""
 
-    def fit_to_rate(self, rate_hz: float, other_s: float) -> None:
-        """Choose the largest input that keeps the rate beside the other work on a frame."""
-
-    def advise(self, share: float) -> str:
-        """Return how to reduce its time to this share; empty if there is no way."""
-
     def predict(self, rgb: np.ndarray, intrinsics: CameraIntrinsics) -> Prediction:
         """Return the depth of an image (H, W, 3) uint8, of the size of the image."""
 

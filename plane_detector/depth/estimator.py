@@ -23,13 +23,10 @@ from plane_detector.depth.plausibility import ImplausibleDepthError
 from plane_detector.depth.preprocessing import prepare_input
 from plane_detector.depth.readers import OWN_FOCAL, OutputError, lens_factor
 from plane_detector.depth.views import average_views, choose_views
-from plane_detector.stage_timer import median_seconds
 from plane_detector.types import CameraIntrinsics, Prediction
 
 # Largest error of depth edges, in pixels of the network input.
 BLUR_INPUT_PX = 3.5
-# derived: a tenth of the period is left, so that a frame that takes a little longer is not late.
-LOAD = 0.9
 
 
 class DepthEstimator:
@@ -55,8 +52,7 @@ class DepthEstimator:
         self.name, self.noise_share = self._network.name, self._network.noise_share
         self.output, self.needs_lens = self._network.output, self._network.outputs.needs_lens
         self.focal_per_height = self._network.focal_per_height
-        self._views = self._views_used = self._network.views
-        self._input_reason, self._target_rate_hz = '', 0.0
+        self._views = self._network.views
         if content is None:
             check_file(self._path)
         rgb, depth_m = plausibility.corridor()
@@ -102,73 +98,18 @@ class DepthEstimator:
             raise ValueError(f'{self.name} needs the intrinsics of the image')
         ratio = lens_factor(intrinsics, OWN_FOCAL, self.focal_per_height) if intrinsics else 1.0
         views = choose_views(ratio, self._views)
-        self._views_used = len(views)
         if len(views) == 1:
             return self._predict_view(rgb, intrinsics)
         return average_views(views, (self._predict_view(view.of(rgb), None) for view in views))
-
-    def fit_to_rate(self, rate_hz: float, other_s: float) -> None:
-        """
-        Choose the largest input, or number of views, that keeps a rate beside the other work.
-
-        Two are timed, the smallest and the largest: the time is affine in the pixels of the input
-        and in the number of views. All other work on a frame takes ``other_s``.
-        """
-        rgb, limit_s = plausibility.corridor()[0], LOAD / rate_hz - other_s
-        self._target_rate_hz = rate_hz
-        sides = self._session.short_sides
-        choices = np.array(sides or range(1, self._views + 1))
-        if len(choices) == 1:
-            self._input_reason = f'depth.target_rate {rate_hz:g} Hz: its input has a fixed size'
-            return
-        seconds, measured = [], []
-        for choice in choices[[0, -1]]:
-            self._take(int(choice))
-            seconds.append(median_seconds(lambda: self.predict(rgb, plausibility.CORRIDOR_LENS)))
-            measured.append(f'{self.facts["network_input"]} {1e3 * seconds[-1]:.0f} ms')
-        work = choices**2 if sides else choices
-        is_fast = np.interp(work, work[[0, -1]], seconds) <= limit_s
-        self._take(int(choices[is_fast].max(initial=choices[0])))
-        kept = 'kept' if is_fast.any() else 'not kept by the smallest input'
-        self._input_reason = (f'depth.target_rate {rate_hz:g} Hz is {kept}; '
-                              f'{", ".join(measured)}, beside {1e3 * other_s:.0f} ms for planes '
-                              'and outputs')
-
-    def _take(self, choice: int) -> None:
-        """Use another short side or, if the input has a fixed size, another number of views."""
-        if self._session.short_sides:
-            self._session = self._session.resized(choice)
-        else:
-            self._views = choice
-
-    def advise(self, share: float) -> str:
-        """Return the setting that would reduce the time of the network to a given share."""
-        sides, views = self._session.short_sides, int(share * self._views_used)
-        if not sides and views < 1:
-            return 'its input has a fixed size: use a smaller network or a GPU'
-        if not sides:
-            return (f'depth.views {views} (now {self._views_used}) would keep up, or '
-                    "depth.target_rate at the camera's rate")
-        # The time goes with the pixels of the input.
-        fitting = [side for side in sides if (side / self._session.short_side) ** 2 <= share]
-        if not fitting:
-            return 'it has no input size that is small enough: use a smaller network or a GPU'
-        taken = (f', taken for depth.target_rate {self._target_rate_hz:g} Hz'
-                 if self._target_rate_hz else '')
-        return (f'depth.short_side {max(fitting)} (now {self._session.short_side}{taken}) would '
-                "keep up, or depth.target_rate at the camera's rate")
 
     @property
     def facts(self) -> Mapping[str, str]:
         """Description for the log and the diagnostics."""
         width, height = self.input_size(*plausibility.CORRIDOR_SIZE)
         views = f', up to {self._views} views' if self._views > 1 else ''
-        facts = {'depth_model': self.name, 'depth_model_reason': self.reason,
+        return {'depth_model': self.name, 'depth_model_reason': self.reason,
                  'execution_provider': self.provider,
                  'network_input': f'{width} x {height}{views}'}
-        if self._input_reason:
-            facts['network_input_reason'] = self._input_reason
-        return facts
 
     def edge_blur_px(self, width: int, height: int) -> float:
         """Return the largest error of depth edges, in pixels of an image of this size."""

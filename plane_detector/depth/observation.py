@@ -28,8 +28,8 @@ from plane_detector.types import CameraIntrinsics, DepthModel, Prediction
 
 # Flicker is averaged in an image with sides up to this: a network sees no finer detail.
 _FILTER_SIDE_PX = 640
-_OF_MODELS = ('output', 'noise_share', 'focal_per_height', 'facts', 'edge_blur_px', 'fit_to_rate',
-              'advise', 'predict')
+_OF_MODELS = ('output', 'noise_share', 'focal_per_height', 'facts', 'edge_blur_px',
+              'predict')
 
 
 @dataclass(frozen=True)
@@ -125,13 +125,6 @@ class DepthFunction:
         """Return the largest error of depth edges."""
         return self.blur_px
 
-    def fit_to_rate(self, rate_hz: float, other_s: float) -> None:
-        """Do nothing: a function has only one speed."""
-
-    def advise(self, share: float) -> str:
-        """Return no advice."""
-        return ''
-
     def predict(self, rgb: np.ndarray, intrinsics: CameraIntrinsics) -> Prediction:
         """Call the function; the intrinsics are not used."""
         return Prediction(self.output, self.function(rgb))
@@ -150,13 +143,6 @@ class SensorDepth:
             raise ValueError('depth.source is topic or points, but no depth was given')
         prediction = Prediction(self.output, limited_depth(depth_m, config.depth.max_depth))
         return Observation(rgb, intrinsics, config, prediction, is_measured=True)
-
-    def fit_to_rate(self, rate_hz: float, other_s: float) -> None:
-        """Do nothing: a sensor has its own rate."""
-
-    def advise(self, share: float) -> str:
-        """Return no advice: a sensor cannot be made faster."""
-        return ''
 
     def reset(self) -> None:
         """Do nothing: no state is kept between frames."""
@@ -203,14 +189,6 @@ class ModelDepth:
         if not known.all():
             seen = seen.with_values(np.where(known, seen.prediction.values, np.nan))
         return replace(seen, sees_sky=sees_sky)
-
-    def fit_to_rate(self, rate_hz: float, other_s: float) -> None:
-        """Choose the largest input that keeps the rate; see :class:`DepthModel`."""
-        self.model.fit_to_rate(rate_hz, other_s)
-
-    def advise(self, share: float) -> str:
-        """Return how to make the model faster, see :class:`DepthModel`."""
-        return self.model.advise(share)
 
     def reset(self) -> None:
         """Discard the average of earlier frames."""

@@ -4,8 +4,6 @@
 
 from __future__ import annotations
 
-from copy import copy
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -70,26 +68,6 @@ class OnnxSession:
         free = lower_bound_size(width, height, self._network.short_side,
                                 self._network.side_multiple)
         return self._fixed_size[0] or free[0], self._fixed_size[1] or free[1]
-
-    @property
-    def short_sides(self) -> tuple[int, ...]:
-        """Short sides that an input of any size may have, ascending; empty for a fixed size."""
-        network = self._network
-        if all(network.input_size) or any(self._fixed_size):
-            return ()
-        least = -(-MIN_SIDE_PX // network.side_multiple) * network.side_multiple
-        return (*range(least, network.short_side, network.side_multiple), network.short_side)
-
-    @property
-    def short_side(self) -> int:
-        """Short side of an input that may have any size."""
-        return self._network.short_side
-
-    def resized(self, short_side: int) -> OnnxSession:
-        """Return the same loaded network with another short side of its input."""
-        other = copy(self)
-        other._network = replace(self._network, short_side=short_side)
-        return other
 
     def run(self, planes: np.ndarray) -> list[np.ndarray]:
         """Run on (3, H, W) float32, to the end or to a stop; return the required outputs."""

@@ -108,8 +108,6 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
     'depth/temporal_filter.py': (
         ('min(keep, previous.image_count / (previous.image_count + 1))',
          'keep', 'the first images weigh more'),),
-    'depth/estimator.py': (
-        ('LOAD / rate_hz -', 'LOAD / rate_hz +', 'sign of the other work'),),
     'shapes/surfels.py': (
         ('/ camera.fy', '/ camera.fx', 'fx for fy in the points of cells'),),
     'shapes/views.py': (

@@ -22,7 +22,6 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
-from plane_detector.compilation import free_intermediate_code
 from plane_detector.dependencies import explanation
 from plane_detector.depth.observation import ModelOrFunction
 from plane_detector.pipeline import PlaneDetector
@@ -35,10 +34,11 @@ from plane_detector.ros.diagnostics import (
     Report,
     Statistics,
     introduction,
+    large_image,
     slow_network,
 )
 from plane_detector.ros.fault_log import MOST_OF_FAILURE, FaultLog
-from plane_detector.ros.frame_processor import FrameProcessor, fit_to_rate
+from plane_detector.ros.frame_processor import FrameProcessor
 from plane_detector.ros.frame_worker import (
     FrameFlow,
     FrameRecords,
@@ -249,12 +249,11 @@ class PlaneDetectorNode(LifecycleNode):
         if self._live.late_kernels.is_loading:
             facts['shapes'] = 'their loops are being compiled'
         if self._processor is not None:
-            detector = self._processor.detector
-            facts.update(detector.source.facts)
-            advice = self._health.advice
-            if pace := slow_network(report, lambda share: advice or detector.source.advise(share)):
+            facts.update(self._processor.detector.source.facts)
+            facts['advice'] = large_image(report)
+            if pace := slow_network(report, facts.get('network_input', '')):
                 facts['network_pace'] = pace
-                self._health.tell_once(f'network_pace {advice}', pace)
+                self._health.tell_once('network_pace', pace)
         if self._health.failure:
             return DiagnosticStatus.ERROR, self._health.failure, facts
         if self._inputs is None:
@@ -302,10 +301,9 @@ class PlaneDetectorNode(LifecycleNode):
         """Make the pipeline, which may download the network; called in a thread."""
         while self._retired is not None and not self._retired.wait(0.1):
             raise_if_stopped()  # two networks at once could exceed the memory
-        load_kernels(self._live.config, self.get_logger().info)
+        # The network first: a reason why there is none is known before loops are compiled.
         detector = PlaneDetector(self._live.config, self._depth_model)
-        fit_to_rate(detector)
-        free_intermediate_code()
+        load_kernels(self._live.config, self.get_logger().info)
         freeze_loaded_objects()
         return detector
 

@@ -138,8 +138,6 @@ class Health:
 
     Attributes
     ----------
-    advice : str
-        How frames would take less time, from a measurement; empty: not measured.
     failure : str
         Why the node could not be configured or activated; empty if it could.
     may_pass : bool
@@ -159,13 +157,11 @@ class Health:
         self._told: set[str] = set()
         self._last_told: dict[str, str] = {}
         self._last: Detection | None = None
-        self.advice = ''
 
     @property
     def facts(self) -> dict[str, str]:
-        """Facts from the last frame: source of the unit, source of gravity, and advice."""
-        facts = _facts_of(self._last) if self._last is not None else {}
-        return {**facts, 'advice': self.advice} if self.advice else facts
+        """Facts from the last frame: source of the unit, source of gravity."""
+        return _facts_of(self._last) if self._last is not None else {}
 
     def note(self, detection: Detection, wanted: Collection[str]) -> None:
         """Note the result of a frame; ``wanted`` are the outputs that have subscribers."""
@@ -257,20 +253,24 @@ def gap_of(detection: Detection, wanted: Collection[str]) -> str:
     return f'{silent}: the direction of gravity is not known{by_image}; give {GRAVITY_SOURCES}'
 
 
-def slow_network(report: Report, advise: Callable[[float], str]) -> str:
-    """
-    Return a message if the network takes longer than the period of the camera, else nothing.
-
-    ``advise`` returns advice for a share of the present time, as that of a DepthModel.
-    """
+def slow_network(report: Report, network_input: str) -> str:
+    """Return a message if the network takes longer than the period of the camera, else nothing."""
     depth_s = report.stage_seconds.get('depth', 0.0)
-    if report.arrival_hz == 0 or depth_s * report.arrival_hz <= _TOLERANCE:
+    if not network_input or depth_s * report.arrival_hz <= _TOLERANCE:
         return ''
-    advice = advise(1 / (depth_s * report.arrival_hz))
-    if not advice:
+    return (f'the network takes {1e3 * depth_s:.0f} ms for an input of {network_input}, the '
+            f'camera sends an image every {1e3 / report.arrival_hz:.0f} ms: set a smaller '
+            'depth.short_side (half takes a quarter) or fewer depth.views, or use a smaller '
+            'network or a GPU')
+
+
+def large_image(report: Report) -> str:
+    """Return advice if images are larger than helps the planes, else nothing."""
+    if report.last is None or max(report.last.detection.labels.shape) <= LARGE_PX:
         return ''
-    return (f'the network takes {1e3 * depth_s:.0f} ms, the camera sends an image every '
-            f'{1e3 / report.arrival_hz:.0f} ms: {advice}')
+    height, width = report.last.detection.labels.shape
+    return (f'an image of {width} x {height} takes {1e3 * sum(report.stage_seconds.values()):.0f} '
+            f'ms: with max_side {REDUCED_PX} it is reduced first')
 
 
 class DiagnosticsPublisher:
@@ -311,7 +311,7 @@ def introduction(facts: Mapping[str, str], topics: Mapping[str, str], planes: st
     """
     runs_on = facts.get('execution_provider')
     lines = [f'depth from {facts["depth_model"]}' + (f', {runs_on}' if runs_on else ''),
-             facts.get('depth_model_reason', ''), facts.get('network_input_reason', ''),
+             facts.get('depth_model_reason', ''),
              f'{topics["image"]}, {topics["camera_info"]} -> {planes} and the other outputs']
     return [line for line in lines if line]
 

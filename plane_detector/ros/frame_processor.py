@@ -5,30 +5,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection
-from dataclasses import replace
 from typing import Any
 
-import cv2
 import numpy as np
-from std_msgs.msg import Header
 
 from plane_detector.config import NodeConfig
-from plane_detector.depth.observation import DepthFunction, ModelDepth
-from plane_detector.depth.plausibility import CORRIDOR_LENS, corridor
-from plane_detector.geometry.disparity import to_depth, to_disparity
+from plane_detector.depth.observation import ModelDepth
 from plane_detector.pipeline import PlaneDetector
-from plane_detector.ros.calibration import camera_info_to_msg
 from plane_detector.ros.inputs.frame_conversion import FrameConverter
 from plane_detector.ros.inputs.synchronizer import Frame, ns_of
 from plane_detector.ros.inputs.transforms import CameraPose, FrameTransforms, TransformBuffer
 from plane_detector.ros.live_map import LiveMap
 from plane_detector.ros.outputs.frame import DetectedFrame, MapView
-from plane_detector.ros.outputs.messages import rgb_to_msg
 from plane_detector.ros.outputs.topics import MAP_OUTPUTS, OUTPUTS
-from plane_detector.stage_timer import StageTimer, median_seconds
-
-# Noise and blur of a network's depth, for timing the stages after it.
-_NOISE_PER_M, _BLUR_PX = 0.005, 12.0
+from plane_detector.stage_timer import StageTimer
 
 
 class FrameProcessor:
@@ -121,14 +111,6 @@ class FrameProcessor:
                 return replace(result, map_view=self._map.add(result, seen.epoch))
         return find_planes
 
-    def seconds_with(self, max_side: int, frame: Frame, wanted: Collection[str]) -> float:
-        """Return the time that a frame would take if its image were reduced to this side first."""
-        model = self.detector.source.model if self.has_network else None
-        other = FrameProcessor(PlaneDetector(self.detector.config, model),
-                               replace(self.settings, max_side=max_side), self._image_topic,
-                               self._transforms)
-        return median_seconds(lambda: other.process(frame, wanted))
-
 
 def make_messages(found: DetectedFrame, wanted: Collection[str]) -> dict[str, Any]:
     """Return the messages of some outputs, as far as they are available."""
@@ -160,26 +142,3 @@ def measured_gravity(frame: Frame, pose: CameraPose | None) -> tuple[np.ndarray 
 def height_m(pose: CameraPose | None) -> float | None:
     """Return the height of the camera from TF; None if the camera is below the base frame."""
     return pose.height_m if pose is not None and pose.height_m > 0 else None
-
-
-def fit_to_rate(detector: PlaneDetector) -> None:
-    """Choose the largest network input that keeps ``depth.target_rate``, if both are given."""
-    rate_hz = detector.config.depth.target_rate
-    if rate_hz > 0 and not detector.config.depth.is_measured:
-        detector.source.fit_to_rate(rate_hz, _seconds_beside_the_network(detector))
-
-
-def _seconds_beside_the_network(detector: PlaneDetector) -> float:
-    """Return the time of all other work on a frame with depth like that of a network."""
-    rgb, depth_m = corridor()
-    rng = np.random.default_rng(0)
-    smooth = cv2.GaussianBlur(rng.standard_normal(depth_m.shape), (0, 0), _BLUR_PX)
-    noise = _NOISE_PER_M * (smooth / smooth.std() + rng.standard_normal(depth_m.shape))
-    noisy_m = to_depth(to_disparity(depth_m) + noise)
-    processor = FrameProcessor(
-        PlaneDetector(detector.config, DepthFunction(lambda _: noisy_m, blur_px=_BLUR_PX)),
-        NodeConfig(), 'image')
-    header = Header()
-    frame = Frame(rgb_to_msg(header, rgb),
-                  camera_info_to_msg(header, CORRIDOR_LENS), None, None, 0)
-    return median_seconds(lambda: processor.process(frame))

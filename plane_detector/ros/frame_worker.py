@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from queue import Queue
@@ -19,7 +19,7 @@ from typing import Any, NamedTuple, TypeVar
 from rclpy.task import Future
 from std_srvs.srv import Trigger
 
-from plane_detector.ros.diagnostics import LARGE_PX, REDUCED_PX, Health, Statistics
+from plane_detector.ros.diagnostics import Health, Statistics
 from plane_detector.ros.fault_log import FaultLog
 from plane_detector.ros.frame_processor import FrameProcessor, make_messages, placement_problem
 from plane_detector.ros.inputs.synchronizer import Frame, stamp_text
@@ -257,14 +257,6 @@ class FrameFlow:
         self.worker.stop()
         self._processor = None
 
-    def _reduced_time(self, frame: Frame, wanted: Collection[str], whole: DetectedFrame) -> str:
-        """Return how long a large frame took, and how long it takes when it is reduced first."""
-        (height, width), whole_s = (whole.detection.labels.shape,
-                                    sum(whole.timer.seconds.values()))
-        reduced_s = self._processor.seconds_with(REDUCED_PX, frame, wanted)
-        return (f'an image of {width} x {height} takes {1e3 * whole_s:.0f} ms, with max_side '
-                f'{REDUCED_PX} {1e3 * reduced_s:.0f} ms')
-
     def _is_wanted(self) -> bool:
         """Whether the next frame is requested, or all are and an output has subscribers."""
         if self._records.requests.are_waiting or self._query.is_waiting:
@@ -295,8 +287,6 @@ class FrameFlow:
                 health.note(found.detection, wanted)
                 statistics.add_processed({**found.timer.seconds, 'publish': publish_s}, found)
                 requests.finish(frame, True, found)
-            if max(found.detection.labels.shape) > LARGE_PX and not health.advice:
-                health.advice = self._reduced_time(frame, wanted, found)
         except Exception as error:
             self._skip(frame, error)
 

@@ -11,8 +11,7 @@ from onnx_geometry_models import put_in_cache
 from onnx_models import millimetres_as_rgb, write_depth_network
 
 from plane_detector.config import DepthConfig
-from plane_detector.depth import estimator as estimators
-from plane_detector.depth.estimator import LOAD, DepthEstimator
+from plane_detector.depth.estimator import DepthEstimator
 from plane_detector.depth.views import average_views, choose_views
 from plane_detector.types import CameraIntrinsics, Prediction
 
@@ -83,17 +82,3 @@ def test_a_network_on_three_views_sees_the_same_plain_wall(fixed, monkeypatch):
     estimate.predict(rgb)
     assert len(runs) == 3 + 1 + 1, 'a longer lens, and one that is not known: the whole image'
     assert estimate.facts['network_input'] == '64 x 48, up to 3 views'
-
-
-def test_fewer_views_keep_the_rate(fixed, monkeypatch):
-    estimate = fixed()
-
-    def pretend(run):
-        run()
-        return 0.01 * estimate._views
-    monkeypatch.setattr(estimators, 'median_seconds', pretend)
-    estimate.fit_to_rate(LOAD / 0.02, 0.0)
-    facts = estimate.facts
-    assert facts['network_input'] == '64 x 48, up to 2 views'
-    assert 'is kept' in facts['network_input_reason']
-    assert '64 x 48, up to 3 views 30 ms' in facts['network_input_reason']

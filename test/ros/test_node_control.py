@@ -4,13 +4,14 @@
 
 import json
 import threading
+from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from lifecycle_msgs.msg import Transition
 from node_helpers import CAMERA, assert_true_to, change_state, send, start
-from onnx_models import network_parameters, write_depth_network
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -21,7 +22,7 @@ from std_srvs.srv import Trigger
 from plane_detector.depth.observation import DepthFunction
 from plane_detector.planes.classification import PlaneClass
 from plane_detector.ros import detector_node, live_settings, transitions
-from plane_detector.ros.diagnostics import introduction
+from plane_detector.ros.diagnostics import Report, introduction, large_image, slow_network
 from plane_detector.ros.spinning import CannotRunError
 from plane_detector.shapes import detector
 
@@ -142,6 +143,15 @@ def test_configuring_fails_with_the_reason_and_can_be_tried_again(robot, tmp_pat
     assert values['last_error'].endswith('metric3d_v2_small'), 'the whole reason'
     assert node.state == 'unconfigured'
     assert not change_state(robot, Transition.TRANSITION_CONFIGURE)
+
+
+def test_a_missing_network_is_reported_before_loops_are_compiled(robot, tmp_path, monkeypatch):
+    compiled = []
+    monkeypatch.setattr(detector_node, 'load_kernels', lambda *_: compiled.append(1))
+    start(robot, wait=False, depth__model=str(tmp_path / 'missing.onnx'))
+    assert robot.is_logged('missing.onnx')
+    assert 'cannot be configured' in robot.log()
+    assert not compiled
 
 
 def test_lifecycle_without_autostart(robot, room):
@@ -288,18 +298,6 @@ def test_planes_are_found_while_the_loops_of_shapes_are_compiled(robot, room, mo
     assert searched == [True]
 
 
-def test_log_and_diagnostics_name_the_input_chosen_for_target_rate(robot, tmp_path):
-    path = write_depth_network(tmp_path / 'n.onnx')
-    start(robot, depth__short_side=140, depth__target_rate=1000.0, depth__input_scale=1.0,
-          **network_parameters(path))
-    values = {}
-    while values.get('state') != 'active':  # a status may have been on its way before
-        values = robot.diagnosis()[1]
-    assert 'depth.target_rate 1000 Hz' in values['network_input_reason']
-    assert ' x ' in values['network_input']
-    assert values['network_input_reason'] in robot.log()
-
-
 @pytest.fixture
 def tries(monkeypatch):
     """Let the pipeline be made at the third try only, and return the errors to come."""
@@ -346,3 +344,22 @@ def test_the_log_at_configure_is_three_lines():
     assert introduction(facts, topics, '/plane_detector/planes') == [
         'depth from a network, on a GPU', 'as requested',
         '/image, /camera_info -> /plane_detector/planes and the other outputs']
+
+
+def test_a_network_that_is_slower_than_the_camera_is_reported_with_both_times():
+    report = Report(1, 0, 0, 2.5, {'depth': 0.4, 'segmentation': 0.01}, arrival_hz=10.0)
+    assert slow_network(report, '686 x 518').startswith(
+        'the network takes 400 ms for an input of 686 x 518, the camera sends an image every '
+        '100 ms: set a smaller depth.short_side (half takes a quarter)')
+    assert not slow_network(replace(report, arrival_hz=2.5), '686 x 518')
+    assert not slow_network(report, ''), 'a sensor, or a function'
+
+
+@pytest.mark.parametrize(('side', 'advice'), [
+    (4000, 'an image of 4000 x 2000 takes 410 ms: with max_side 1280 it is reduced first'),
+    (2500, '')])
+def test_images_larger_than_helps_are_reported(side, advice):
+    last = SimpleNamespace(detection=SimpleNamespace(labels=np.empty((2000, side))))
+    report = Report(1, 0, 0, 2.5, {'depth': 0.4, 'segmentation': 0.01}, last=last)
+    assert large_image(report) == advice
+    assert not large_image(replace(report, last=None))

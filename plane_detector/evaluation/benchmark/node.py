@@ -118,7 +118,7 @@ def run(options: argparse.Namespace) -> None:
     else:
         views = list(frames(options.data, (options.views,)))
         title = f'{len(views)} frames of {options.views}, each for {HELD_S:g} s'
-    found = list(sources(options.model, options.rate))
+    found = list(sources(options.model))
     rclpy.init()
     try:
         report_load(found, Show(title, views, options.rate, options.motion), options.seconds)
@@ -126,12 +126,8 @@ def run(options: argparse.Namespace) -> None:
         rclpy.try_shutdown()
 
 
-def sources(model: str, rate_hz: float) -> Iterator[tuple[str, DepthConfig]]:
-    """
-    Yield name and settings of each source of depth; prints why one is not available.
-
-    A network is run at best quality, the default, and told to keep the rate.
-    """
+def sources(model: str) -> Iterator[tuple[str, DepthConfig]]:
+    """Yield name and settings of each source of depth; prints why one is not available."""
     yield 'depth topic', DepthConfig(source='topic')
     if model != 'none':
         try:
@@ -140,8 +136,6 @@ def sources(model: str, rate_hz: float) -> Iterator[tuple[str, DepthConfig]]:
             emit(f'{model}: absent, {error}')
         else:
             yield model, DepthConfig(model=model)
-            yield (f'{model}, depth.target_rate {rate_hz:g}',
-                   DepthConfig(model=model, target_rate=rate_hz))
 
 
 def report_load(found: Sequence[tuple[str, DepthConfig]], show: Show, seconds: float) -> None:
@@ -166,8 +160,7 @@ def report_load(found: Sequence[tuple[str, DepthConfig]], show: Show, seconds: f
 def _measured(depth: DepthConfig, outputs: Sequence[str], show: Show,
               seconds: float) -> dict[str, str]:
     """Start a node and a receiver, feed them, and end them."""
-    parameters = {'depth.source': depth.source, 'depth.model': depth.model,
-                  'depth.target_rate': depth.target_rate}
+    parameters = {'depth.source': depth.source, 'depth.model': depth.model}
     with (tempfile.TemporaryDirectory() as folder, Receiver(outputs) as receiver,
           node_process(parameters, Path(folder, 'node.log')) as process):
         camera = Camera(process, show, depth.source == 'topic', receiver)
