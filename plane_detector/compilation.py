@@ -21,6 +21,7 @@ import gc
 import hashlib
 import logging
 import os
+import shutil
 import stat
 import subprocess
 import sys
@@ -28,8 +29,8 @@ import tempfile
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from functools import cache, cached_property
 from importlib import import_module
 from importlib.metadata import version
@@ -44,10 +45,20 @@ MOST_PROCESSES = 6
 TELL_S = 5.0
 """Time between two messages while kernels are compiled."""
 _CHECK_S = 0.1
+# chosen: longer than a robot rests; each change of a file leaves the folders of before.
+_UNUSED_S = 30 * 24 * 3600.0
+# The program of a helper. In isolated mode the working directory is not searched for modules.
+_HELPER = """
+import os, sys
+sys.path[:] = sys.argv[1].split(os.pathsep)
+from plane_detector.compilation import help_parent
+help_parent(int(sys.argv[2]), sys.argv[3:])
+"""
 _KERNELS: list[Kernel] = []
 # Numba takes its cache folder from a global setting, so only one thread may change it at a time;
 # otherwise machine code would be written to the working directory.
 _COMPILING = threading.Lock()
+_memory_only = threading.Event()  # set when the cache folder cannot be written
 
 
 class Kernel:
@@ -92,7 +103,8 @@ class Kernel:
     def is_cached(self) -> bool:
         """Whether another process has compiled it."""
         # Numba writes the index (nbi) first.
-        return any((cache_folder() / self.digest).glob('*/*.nbc'))
+        folder = _folder_of(self)
+        return folder is not None and any(folder.glob('*/*.nbc'))
 
     @cached_property
     def digest(self) -> str:
@@ -151,20 +163,31 @@ class Kernel:
             for step in dis.get_instructions(one._function.__code__)) == 1
 
     def _jit(self, function: Callable) -> Callable:
-        import numba
-        before, numba.config.CACHE_DIR = (numba.config.CACHE_DIR,
-                                          str(cache_folder() / self.digest))
         collects = gc.isenabled()
         gc.disable()  # a sixth of the time to compile would go into looking for garbage
         try:
-            # Sums may be reordered; NaN and infinity are still handled exactly.
-            return numba.njit(
-                self._signature, cache=True, nogil=not self._is_short, error_model='numpy',
-                no_cfunc_wrapper=True, fastmath={'contract', 'reassoc', 'nsz'})(function)
+            try:
+                return self._jit_in(_folder_of(self), function)
+            except OSError as error:
+                _keep_in_memory(error)
+            return self._jit_in(None, function)
         finally:
-            numba.config.CACHE_DIR = before
             if collects:
                 gc.enable()
+
+    def _jit_in(self, folder: Path | None, function: Callable) -> Callable:
+        """Compile a function, or load it from its folder; the caller must hold the lock."""
+        import numba
+        before = numba.config.CACHE_DIR
+        numba.config.CACHE_DIR = before if folder is None else str(folder)
+        try:
+            # Sums may be reordered; NaN and infinity are still handled exactly.
+            return numba.njit(
+                self._signature, cache=folder is not None, nogil=not self._is_short,
+                error_model='numpy', no_cfunc_wrapper=True,
+                fastmath={'contract', 'reassoc', 'nsz'})(function)
+        finally:
+            numba.config.CACHE_DIR = before
 
 
 def kernel(signature: str, is_short: bool = False,
@@ -205,25 +228,18 @@ def compile_kernels(subjects: Iterable[str], tell: Callable[[str], None] = lambd
     wanted = [one for one in _own_kernels(subjects) if not one.is_ready]
     if not wanted:
         return
-    with _one_process(cache_folder() / wanted[0].digest):
-        if not all(one.is_cached for one in wanted):
-            missing = [one for one in wanted if not one.is_cached]
+    with _one_process(wanted[0]):
+        missing = [one for one in wanted if not one.is_cached]
+        if missing:
             tell(f'compiling {what} for this machine, once; this takes about half a minute')
-            _compile_in_processes(missing, tell)
+            if not _memory_only.is_set():
+                try:
+                    _compile_in_processes(missing, tell)
+                except OSError as error:
+                    tell(f'no process can be started to help: {error}')
         for one in wanted:
             one.compiled()
-
-
-def free_intermediate_code() -> None:
-    """
-    Free the code from which numba would inline loaded kernels into others, where none calls them.
-
-    Numba has no public name for it. Measured: 35 MB of the 119 MB that the node's kernels take.
-    """
-    for one in _own_kernels({one.subject for one in _KERNELS}):
-        if one.is_ready:
-            for overload in one._compiled.overloads.values():
-                overload.library._shared_module = None
+    _remove_unused(wanted)
 
 
 @cache
@@ -233,45 +249,53 @@ def load_once(*subjects: str) -> None:
 
 
 def _compile_in_processes(kernels: list[Kernel], tell: Callable[[str], None]) -> None:
-    """Let other processes fill the cache; what they fail to compile is compiled by the caller."""
+    """
+    Let other processes fill the cache; what they fail to compile is compiled by the caller.
+
+    Processes of multiprocessing would run the program of a user who calls this package outside of
+    ``if __name__ == '__main__'`` again, and search the working directory for modules.
+    """
     # A module at a time, since its kernels share callees; the longest first, to end together.
     length = Counter()
     for one in _KERNELS:
         length[one.__module__] += len(one._function.__code__.co_code)
     modules = sorted({one.__module__ for one in kernels}, key=length.get, reverse=True)
-    count = min(len(os.sched_getaffinity(0)), MOST_PROCESSES, len(modules))
     # Each helper reads the number of its next module from the same pipe.
     queue, end = os.pipe()
     os.write(end, bytes(range(len(modules))))
     os.close(end)
-    command = [sys.executable, '-c', 'from plane_detector.compilation import help_parent\n'
-                                     'help_parent()', str(os.getpid()), *modules]
+    # This package first, wherever the program that uses it has found it.
+    search_path = os.pathsep.join([str(Path(__file__).parents[1]), *filter(None, sys.path)])
+    command = [sys.executable, '-I', *(['-B'] if sys.dont_write_bytecode else []), '-c', _HELPER,
+               search_path, str(os.getpid()), *modules]
+    # Numba would mark up each of the 50000 types that it tries in vain.
+    environment = {**os.environ, 'NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING': '1'}
     helpers, told_s = [], time.monotonic()
-    try:
-        for _ in range(count):
-            # A session of its own: a signal to end is for this process, which ends the others.
-            helpers.append(subprocess.Popen(
-                command, stdin=queue, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-                env={**os.environ, 'PYTHONPATH': os.pathsep.join(sys.path),
-                     # Numba would mark up each of the 50000 types that it tries in vain.
-                     'NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING': '1'},
-                start_new_session=True))
-        while any(helper.poll() is None for helper in helpers):
-            raise_if_stopped()
-            if time.monotonic() - told_s > TELL_S:
-                told_s = time.monotonic()
-                tell(f'compiled {sum(one.is_cached for one in kernels)} of {len(kernels)} loops')
-            time.sleep(_CHECK_S)
-    finally:
-        for helper in helpers:
-            helper.kill()
-            helper.wait()
-        os.close(queue)
+    with open(queue, 'rb') as numbers, tempfile.TemporaryFile() as errors:
+        try:
+            for _ in range(min(len(os.sched_getaffinity(0)), MOST_PROCESSES, len(modules))):
+                # A session of its own: a signal to end is for this process, which ends the others.
+                helpers.append(subprocess.Popen(
+                    command, stdin=numbers, stdout=subprocess.DEVNULL, stderr=errors,
+                    env=environment, start_new_session=True))
+            while any(helper.poll() is None for helper in helpers):
+                raise_if_stopped()
+                if time.monotonic() - told_s > TELL_S:
+                    told_s, done = time.monotonic(), sum(one.is_cached for one in kernels)
+                    tell(f'compiled {done} of {len(kernels)} loops')
+                time.sleep(_CHECK_S)
+        finally:
+            for helper in helpers:
+                helper.kill()
+                helper.wait()
+        if any(helper.returncode for helper in helpers):
+            errors.seek(0)
+            reason = errors.read().decode(errors='replace').strip().rpartition('\n')[2]
+            tell(f'a process that helps has failed, so that compiling takes longer: {reason}')
 
 
-def help_parent() -> None:
-    """Compile the kernels of the modules named on the command line, while the parent lives."""
-    parent, modules = int(sys.argv[1]), sys.argv[2:]
+def help_parent(parent: int, modules: Sequence[str]) -> None:
+    """Compile the modules whose numbers are read from standard input, while the parent lives."""
     for module in modules:
         import_module(module)
     own = _own_kernels({one.subject for one in _KERNELS})
@@ -284,15 +308,52 @@ def help_parent() -> None:
 
 
 @contextmanager
-def _one_process(folder: Path) -> Iterator[None]:
+def _one_process(one: Kernel) -> Iterator[None]:
     """Let one process at a time compile; workers started with it load its machine code."""
-    folder.mkdir(exist_ok=True)
-    with open(folder / 'lock', 'a', encoding='ascii') as file:
-        # Without such locks, as on Windows and some network file systems, each process compiles.
-        with suppress(ImportError, OSError):
-            import fcntl
-            fcntl.flock(file, fcntl.LOCK_EX)
+    with ExitStack() as held:
+        if (folder := _folder_of(one)) is not None:
+            try:
+                folder.mkdir(exist_ok=True)
+                file = held.enter_context(open(folder / 'lock', 'a', encoding='ascii'))
+            except OSError as error:
+                _keep_in_memory(error)
+            else:
+                # Without such locks, as on Windows and some network file systems, each process
+                # compiles.
+                with suppress(ImportError, OSError):
+                    import fcntl
+                    fcntl.flock(file, fcntl.LOCK_EX)
         yield
+
+
+def _folder_of(one: Kernel) -> Path | None:
+    """Return the folder of the machine code of a kernel; None if it is kept in memory only."""
+    if _memory_only.is_set():
+        return None
+    try:
+        return cache_folder() / one.digest
+    except OSError as error:
+        _keep_in_memory(error)
+        return None
+
+
+def _keep_in_memory(error: OSError) -> None:
+    """Keep machine code in memory only from now on."""
+    if not _memory_only.is_set():
+        _memory_only.set()
+        logging.getLogger(__name__).warning(
+            '%s cannot be written (%s): the loops stay in memory and are compiled again at each '
+            'start', _home_folder(), error.strerror or error)
+
+
+def _remove_unused(used: Iterable[Kernel]) -> None:
+    """Remove the folders of machine code that no process has used for a month."""
+    with suppress(OSError):
+        for folder in filter(None, map(_folder_of, used)):
+            os.utime(folder)
+        for folder in cache_folder().iterdir() if not _memory_only.is_set() else ():
+            if time.time() - folder.stat().st_mtime > _UNUSED_S:
+                shutil.rmtree(folder, ignore_errors=True)
 
 
 @cache
@@ -310,18 +371,25 @@ def cache_folder() -> Path:
     Numba unpickles what it finds there. If neither the user's cache nor a folder of the user in
     the temporary directory can be used, the folder is a new one, and each start compiles again.
     """
-    home = os.environ.get('XDG_CACHE_HOME') or Path('~/.cache').expanduser()
-    temporary = Path(tempfile.gettempdir()) / f'plane_detector-{os.getuid()}'
-    for folder in (Path(home) / 'plane_detector' / 'kernels', temporary):
+    folders = [_home_folder()]
+    with suppress(OSError):  # on a full disk there is no temporary directory
+        folders.append(Path(tempfile.gettempdir()) / f'plane_detector-{os.getuid()}')
+    for folder in folders:
         with suppress(OSError):
-            folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-            if _is_ours_alone(folder):
+            folder.parent.mkdir(parents=True, exist_ok=True)
+            folder.mkdir(exist_ok=True, mode=0o700)
+            if _is_ours_alone(folder) and _only_we_rename_in(folder.parent):
                 return folder
     folder = Path(tempfile.mkdtemp(prefix='plane_detector-'))
     logging.getLogger(__name__).warning(
         '%s belongs to another user or others may write to it: the loops are compiled again at '
-        'each start', temporary)
+        'each start', folders[-1])
     return folder
+
+
+def _home_folder() -> Path:
+    home = os.environ.get('XDG_CACHE_HOME') or Path('~/.cache').expanduser()
+    return Path(home) / 'plane_detector' / 'kernels'
 
 
 def _is_ours_alone(folder: Path) -> bool:
@@ -330,3 +398,11 @@ def _is_ours_alone(folder: Path) -> bool:
     return (stat.S_ISDIR(status.st_mode) and status.st_uid == os.getuid()
             and not status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
             and os.access(folder, os.W_OK | os.X_OK))
+
+
+def _only_we_rename_in(folder: Path) -> bool:
+    """Return whether no other user can put another folder in the place of one in this folder."""
+    status = folder.stat()
+    others = stat.S_IWOTH | (stat.S_IWGRP if status.st_gid != os.getgid() else 0)
+    return (status.st_uid in (0, os.getuid())
+            and bool(status.st_mode & stat.S_ISVTX or not status.st_mode & others))

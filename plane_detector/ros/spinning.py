@@ -16,7 +16,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from plane_detector.ending import end_process, stopped_by_signals
-from plane_detector.process import load_numba_alone, retain_freed_memory, use_one_thread
+from plane_detector.process import retain_freed_memory, use_one_thread
 from plane_detector.ros.fault_log import FaultLog
 from plane_detector.stopping import Stop
 
@@ -69,14 +69,14 @@ def prepare_process() -> None:
     # The stages share the cores. The threads of OpenCV and OpenBLAS spin while they wait for the
     # next operation: measured 1 and 16 ms of core time for each frame.
     use_one_thread()
-    load_numba_alone()
 
 
 def _init(args: list[str] | None) -> None:
     try:
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:  # base class of rclpy's exception, which it does not export
-        raise CannotRunError(f'rclpy refuses the arguments: {error}') from error
+        hint = (', name another folder by ROS_LOG_DIR' if 'log directory' in str(error) else '')
+        raise CannotRunError(f'rclpy refuses to start: {error}{hint}') from error
 
 
 def _made(make_node: Callable[[], Node]) -> Node:

@@ -5,6 +5,7 @@
 import dataclasses
 import hashlib
 import io
+import resource
 import shutil
 import socket
 import sys
@@ -180,6 +181,20 @@ def test_a_read_only_folder_is_reported_once_with_the_parameter(tmp_path, monkey
     assert str(caught.value).count('cannot be written') == 1
     assert str(caught.value).endswith('name another folder by depth.cache_dir')
     assert server.asked == []
+
+
+def test_a_full_disk_is_reported_with_the_folder_and_the_parameter(
+        tmp_path, monkeypatch, server):
+    put(monkeypatch, 'fastdepth', UrlSource(server.url + '/good.onnx'))
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, before[1]))
+    try:
+        with pytest.raises(NetworkUnavailableError) as caught:
+            fetch(tmp_path)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert f'{tmp_path} cannot be written (File too large): name another' in str(caught.value)
+    assert files_in(tmp_path) == []
 
 
 def test_auto_uses_the_best_available_network_and_says_why(tmp_path, monkeypatch, server):

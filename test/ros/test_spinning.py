@@ -70,6 +70,14 @@ def ended(work, name='SIGTERM', with_output=False):
     return done.returncode, done.stdout + done.stderr if with_output else done.stderr
 
 
+def test_without_a_folder_for_logs_the_node_says_how_to_name_one():
+    done = run_program('from plane_detector.ros.node import main; main([])', HOME='/proc/none',
+                       ROS_HOME='', ROS_LOG_DIR='')
+    assert done.returncode == 1
+    assert 'log directory' in done.stderr
+    assert 'name another folder by ROS_LOG_DIR' in done.stderr
+
+
 @pytest.mark.parametrize('name', ['SIGINT', 'SIGTERM'])
 @pytest.mark.parametrize('work', ['end()', 'Dying()', LEFT_BEHIND],
                          ids=['callback', 'destructor', 'left behind'])

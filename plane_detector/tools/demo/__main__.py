@@ -19,7 +19,7 @@ from pathlib import Path
 from plane_detector.dependencies import explained_imports
 from plane_detector.ending import quiet_interrupt, run_program, until_signal
 
-with quiet_interrupt(), explained_imports('numba', installed=['scipy']):
+with quiet_interrupt(), explained_imports('numba', 'scipy'):
     import cv2
     import numpy as np
 

@@ -20,7 +20,7 @@ from plane_detector.ending import (
     until_signal,
 )
 
-with quiet_interrupt(), explained_imports('numba', installed=['scipy']):
+with quiet_interrupt(), explained_imports('numba', 'scipy'):
     from plane_detector.config import NodeConfig
     from plane_detector.depth.networks import NETWORKS
     from plane_detector.ros.outputs.topics import OUTPUTS
