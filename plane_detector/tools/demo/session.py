@@ -23,7 +23,7 @@ from std_srvs.srv import Trigger
 
 from plane_detector.ros.calibration import camera_info_to_msg
 from plane_detector.ros.detector_node import PlaneDetectorNode
-from plane_detector.ros.inputs.image_decoding import depth_from_msg
+from plane_detector.ros.inputs.depth_decoding import depth_from_msg
 from plane_detector.ros.outputs.messages import depth_to_msg, read_cloud, rgb_to_msg
 from plane_detector.scale.estimate import RELATIVE
 from plane_detector.stopping import raise_if_stopped
@@ -128,7 +128,7 @@ class Session:
         self._spin_until(lambda: 'scale' in self._facts, _FRAME_S, 'no diagnostics came')
         return Received(
             read_cloud(self._messages['points']), read_cloud(self._messages['planes']).ravel(),
-            depth_from_msg(self._messages['depth']),
+            depth_from_msg(self._messages['depth'], photograph.rgb[..., 0].size),
             'units' if self._facts['scale'] == RELATIVE else 'm', 1e3 * float(np.median(seconds)),
             f"; {self._facts['gravity_note']}" if 'gravity_note' in self._facts else '')
 
