@@ -136,6 +136,22 @@ def depth_of(rgb):
     return np.full(rgb.shape[:2], 2.0, np.float32)
 
 
+@pytest.mark.parametrize('restart', ['reset', 'jump', None])
+def test_depth_is_averaged_until_a_reset_or_a_jump_back_in_time(restart):
+    rng = np.random.default_rng(0)
+    rgb, noisy_m = rng.integers(0, 255, RGB.shape, np.uint8), 2 + rng.normal(
+        0, 0.004, (4, *RGB.shape[:2]))
+    given = iter(noisy_m.astype(np.float32))
+    detector = PlaneDetector(Config(), lambda rgb: next(given))
+    for stamp_s in (5.0, 5.1, 5.2):
+        detector.detect(rgb, CAMERA, stamp_s=stamp_s)
+    if restart == 'reset':
+        detector.reset()
+    found = detector.detect(rgb, CAMERA, stamp_s=3.0 if restart == 'jump' else 5.3)
+    is_own = np.abs(found.depth_m - noisy_m[3]) < 1e-5
+    assert is_own.all() if restart else is_own.mean() < 0.1
+
+
 def test_no_stage_starts_after_a_stop():
     stop = Stop()
 

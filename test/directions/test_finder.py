@@ -10,7 +10,7 @@ from plane_detector.config import Config
 from plane_detector.directions.finder import CameraImage, DirectionFinder, find_in_image
 from plane_detector.evaluation.scenes.rooms import attic, hexagon_room, random_room
 from plane_detector.evaluation.scenes.textures import rolled_room, room_from_above, textured
-from plane_detector.types import CameraIntrinsics
+from plane_detector.types import CameraIntrinsics, Plane, Planes, PlaneSegmentation
 
 IMAGES, GREY_LEVELS = 12, 5.0
 FLICKER_DEG = 0.5
@@ -78,3 +78,22 @@ def test_a_wall_ahead_with_a_floor_is_still_a_wall():
     image = CameraImage(scene.rgb, scene.intrinsics, disparity=1 / scene.depth_m)
     found = find_in_image(image).directions
     assert found.gravity_camera @ scene.gravity_camera > np.cos(np.radians(2))
+
+
+@pytest.mark.parametrize(('is_still', 'is_trusted', 'searches'), [
+    (True, True, 2), (False, True, 4), (True, False, 4)])
+def test_lines_are_held_half_a_second_while_nothing_moves_and_planes_tell_no_turn(
+        monkeypatch, is_still, is_trusted, searches):
+    scene, finder, calls = textured(random_room, 300), DirectionFinder(), []
+    found = find_in_image(CameraImage(scene.rgb, scene.intrinsics))
+    monkeypatch.setattr('plane_detector.directions.finder.find_in_image',
+                        lambda *_: calls.append(1) or found)
+    walls = Planes.of([Plane(np.array(normal), 2.0, -2.0 * np.array(normal), 5000, 0.0, 1.0,
+                             np.eye(4), 1.0, label=k + 1)
+                       for k, normal in enumerate(((0.0, 0.0, -1.0), (1.0, 0.0, 0.0)))])
+    for stamp_s in (1.0, 1.2, 1.4, 1.6):
+        image = CameraImage(scene.rgb, scene.intrinsics, stamp_s=stamp_s, is_still=is_still)
+        finder.find(image, None, Config(), for_planes=True)
+        finder.note_planes(PlaneSegmentation(walls, np.zeros((100, 100), np.int32), 0.0),
+                           is_trusted)
+    assert len(calls) == searches
