@@ -37,6 +37,7 @@ ARGUMENTS = {
     'use_imu': ('', 'true: gravity from the IMU'),
     'base_frame': ('', 'frame of the robot on the floor, for gravity and camera height from TF'),
     'target_frame': ('', 'frame of the outputs'),
+    'plane_map': ('', 'true: keep a map of the planes in target_frame, odom or map'),
     'points_color': ('', 'colours of ~/points: image, labels or overlay'),
     'processing_mode': ('', 'continuous or on_demand'),
     'autostart': ('', 'false: a lifecycle manager configures and activates'),
@@ -47,14 +48,14 @@ ARGUMENTS = {
 }
 # Launch files in Python pass True and False, those in XML and YAML true and false.
 IS_ON = {'': False, 'true': True, 'True': True, 'false': False, 'False': False}
-SWITCHES = ('use_imu', 'autostart', 'use_sim_time', 'respawn', 'rviz')
+SWITCHES = ('use_imu', 'plane_map', 'autostart', 'use_sim_time', 'respawn', 'rviz')
 TOPICS = ('image', 'camera_info', 'depth', 'imu')
 # Those whose parameter has another name.
 PARAMETERS = {'depth_source': 'depth.source', 'depth_model': 'depth.model',
               'processing_mode': 'mode', 'camera_height': 'scale.camera_height',
-              'gravity': 'scale.gravity'}
+              'gravity': 'scale.gravity', 'plane_map': 'map.enabled'}
 OVERRIDES = ('depth_source', 'depth_model', 'image_transport', 'max_side', 'camera_height',
-             'gravity', 'use_imu', 'base_frame', 'target_frame', 'points_color',
+             'gravity', 'use_imu', 'base_frame', 'target_frame', 'plane_map', 'points_color',
              'processing_mode', 'autostart', 'use_sim_time')
 # What their text is turned into, where the parameter is no text.
 READ = {**dict.fromkeys(SWITCHES, IS_ON.get), 'max_side': int, 'camera_height': float,

@@ -220,10 +220,11 @@ def test_switches_as_launch_files_in_python_write_them(launched):
 
 @pytest.mark.parametrize('gravity', ['0 1 0', '[0.0, 1.0, 0.0]', '0,1,0'])
 def test_numbers_are_passed_as_what_the_parameters_are(launched, gravity):
-    (node,) = launched(camera_height='1.2', gravity=gravity, max_side='640', points_color='labels')
+    (node,) = launched(camera_height='1.2', gravity=gravity, max_side='640', points_color='labels',
+                       plane_map='true')
     given = node['parameters'][1]
     assert given == {'scale.camera_height': 1.2, 'scale.gravity': [0.0, 1.0, 0.0],
-                     'max_side': 640, 'points_color': 'labels'}
+                     'max_side': 640, 'points_color': 'labels', 'map.enabled': True}
     assert isinstance(given['max_side'], int)
 
 
@@ -252,7 +253,7 @@ def test_a_camera_without_topics_is_refused(launched):
 
 
 def test_model_and_mode_of_a_robot_have_no_effect(launched):
-    (node,) = launched(model='/robot.urdf', mode='localization')
+    (node,) = launched(model='/robot.urdf', mode='localization', map='/maps/office.yaml')
     assert node['parameters'] == [YAML, {}]
 
 
