@@ -36,6 +36,7 @@ from plane_detector.scale.estimate import ScaleEstimate, apply_scale
 from plane_detector.scale.methods import ScaleEvidence, estimate_scale
 from plane_detector.scale.temporal_filter import ScaleState, update_scale
 from plane_detector.segmentation.baselines import segment_by_paper
+from plane_detector.segmentation.cells.constant_depth import without_constants
 from plane_detector.segmentation.cells.grid import lens_of
 from plane_detector.segmentation.cells.noise import Noise
 from plane_detector.segmentation.cells.normal_slopes import NormalMap
@@ -176,6 +177,9 @@ class PlaneDetector:
             self.source.reset()
         with timer('depth'):
             seen = self.source.observe(rgb, intrinsics, depth_m, self.config)
+            if seen.is_measured:
+                seen = seen.with_values(without_constants(seen.prediction.values,
+                                                          metric_noise_floor(self.config)))
             if covered is not None:
                 seen = seen.restricted_to(covered)
             check_depth(seen.prediction.values, intrinsics)
@@ -304,6 +308,8 @@ def segment_planes(depth_m: np.ndarray, intrinsics: CameraIntrinsics, config: Co
     config = config or DEFAULTS
     check_depth(depth_m, intrinsics)
     load_once(*LOOPS)
+    if disparity_noise == 0:
+        depth_m = without_constants(np.asarray(depth_m, np.float32), metric_noise_floor(config))
     regions = _find_regions(to_disparity(depth_m), intrinsics, config,
                             metric_noise_floor(config, disparity_noise), rng)
     return _measured_planes(regions, intrinsics, config)

@@ -74,3 +74,21 @@ def test_without_patches_or_planes_the_labels_are_returned():
     patches, planes, labels, depths_m = two_walls()
     assert fill_patches(labels, NO_PATCHES, planes, depths_m, CAMERA) is labels
     assert fill_patches(labels, patches, NO_PLANES, depths_m, CAMERA) is labels
+
+
+@pytest.mark.parametrize('tilt', [(0.75, 0.0), (0.0, 0.75), (0.5, 0.5)])
+def test_the_depth_of_a_slanted_plane_is_that_of_its_rays(tilt):
+    camera = CameraIntrinsics(30.0, 60.0, 33.0, 8.0, 42, 30)
+    normal = -np.array([*tilt, np.sqrt(1 - tilt[0]**2 - tilt[1]**2)])
+    v, u = np.mgrid[0:30, 0:42]
+    rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones(SHAPE)], -1)
+    depth_m = -2.0 / (rays @ normal)
+    plane = Plane(normal, 2.0, -2.0 * normal, 9, 0.0, 1.0, np.eye(4), 1.0)
+    labels = np.zeros(SHAPE, np.int32)
+    labels[::3, ::5] = labels[1::3, 2::5] = -1
+    labels[:, 0] = labels[:, -1] = -1
+    is_seen = depth_m > 0
+    filled = fill_patches(labels, np.ones((8, 11), np.int32), Planes.of([plane]),
+                          np.where(is_seen, depth_m, np.nan), camera)
+    assert (filled[is_seen] == 0).all()
+    assert (filled[~is_seen & (labels < 0)] == -1).all()

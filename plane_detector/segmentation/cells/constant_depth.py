@@ -1,0 +1,142 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Depth that repeats exactly over a region is no measurement.
+
+Drivers and robots write constants: over the robot's own body, beyond the range, as a mark for
+invalid. Such a region has no noise, fills as a plane, and sets the noise of the image to 0. It is
+told by its border, where it stands apart from what surrounds it, or by its frequency, far above
+that of any other value. A wall that a simulator sees exactly from the front looks the same: what
+is constant stays if the rest of the image has no noise either.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+
+from plane_detector.geometry.disparity import to_disparity, zero_filled
+from plane_detector.segmentation.cells.grid import DisparityImage, build_cell_grid
+from plane_detector.segmentation.cells.noise import Noise, estimate_noise
+
+# A constant fills at least this share of the image; a single value of noisy depth in millimetres
+# has up to .001 of the pixels.
+# chosen: field cases have .24 and .43; half the smallest plane.
+MIN_SHARE = 0.01
+# Depth around a constant differs by more than this. Steps of quantised depth are smaller: those
+# of a Kinect are .03 at 8 m.
+MIN_JUMP = 0.05
+# chosen: a mask may have the depth of the floor at a few places of its border; the front of a box
+# that stands on the floor has it along a fifth.
+MAX_ATTACHED_SHARE = 0.15
+# A constant is so many times as frequent as any other value, or stands apart. The values of a
+# quantised wall are about equally frequent.
+# chosen: between 2 and the 100 of a limit.
+MIN_FREQUENCY_RATIO = 8
+# derived: above the rounding of float32 at 10 m, below what sensors and files resolve.
+_MIN_STEP_M = 1e-5
+# derived: enough places for the smallest share, .01 of 4800 cells, are 48.
+_STRIDE = 8
+_BORDER_PX = 2
+
+
+def without_constants(depth_m: np.ndarray, noise_floor: Noise) -> np.ndarray:
+    """
+    Return depth in which constants that stand for something else are NaN.
+
+    Parameters
+    ----------
+    depth_m : (H, W) float32
+        Measured, metres, NaN invalid.
+    noise_floor : Noise
+        Lower bound of the noise of its 1/z.
+
+    Returns
+    -------
+    (H, W) float32
+        The same array if there are none.
+
+    Examples
+    --------
+    >>> floor = Noise(0.0003)
+    >>> depth_m = np.random.default_rng(0).normal(2.0, 0.01, (120, 160)).astype(np.float32)
+    >>> bool(without_constants(depth_m, floor) is depth_m)
+    True
+    >>> depth_m[80:, 40:] = 5.0
+    >>> bool(np.isnan(without_constants(depth_m, floor)[80:, 40:]).all())
+    True
+
+    """
+    values = _frequent_values(depth_m)
+    if not values.size:
+        return depth_m
+    is_constant = np.zeros(depth_m.shape, bool)
+    for value in values:
+        is_constant |= _unmeasured(depth_m, value)
+    if not is_constant.any():
+        return depth_m
+    rest_m = np.where(is_constant, np.float32(np.nan), depth_m)
+    steps_m = np.diff(np.unique(rest_m[::_STRIDE, ::_STRIDE]))
+    step_m = float(steps_m[steps_m > _MIN_STEP_M].min(initial=np.inf))
+    floor_m = max(noise_floor.depth_floor_m, step_m / 12**0.5 if np.isfinite(step_m) else 0.0)
+    grid = build_cell_grid(DisparityImage(*zero_filled(to_disparity(rest_m))))
+    noise = estimate_noise(grid, replace(noise_floor, depth_floor_m=floor_m))
+    # The pixels, not the means of cells: a curved surface has no noise either.
+    is_noisy = noise.pixel_sigma**2 > noise.variance_floor(grid.typical_disparity)
+    return rest_m if is_noisy else depth_m
+
+
+def _frequent_values(depth_m: np.ndarray) -> np.ndarray:
+    """Return the values that fill a large share of the places and may be constants."""
+    places = depth_m[:-1:_STRIDE, :-1:_STRIDE]
+    is_equal = ((places == depth_m[1::_STRIDE, :-1:_STRIDE])
+                & (places == depth_m[:-1:_STRIDE, 1::_STRIDE]))
+    least = max(MIN_SHARE * places.size, 1)
+    if np.count_nonzero(is_equal) < least:
+        return np.empty(0, depth_m.dtype)
+    values, counts = np.unique(places[is_equal], return_counts=True)
+    values, counts = values[counts >= least], counts[counts >= least]
+    if not len(values):
+        return values
+    # In quantised depth there may be dozens, and most places beside theirs have the next step.
+    border, attached = np.zeros(len(values)), np.zeros(len(values))
+    index = np.minimum(np.searchsorted(values, places), len(values) - 1)
+    for here, there in ((np.s_[:, 1:], np.s_[:, :-1]), (np.s_[:, :-1], np.s_[:, 1:]),
+                        (np.s_[1:], np.s_[:-1]), (np.s_[:-1], np.s_[1:])):
+        one, other = places[here], places[there]
+        is_border = (one == values[index[here]]) & (other != one) & np.isfinite(other)
+        near = is_border & (np.abs(other - one) <= MIN_JUMP * one)
+        border += np.bincount(index[here][is_border], minlength=len(values))
+        attached += np.bincount(index[here][near], minlength=len(values))
+    return values[(attached <= 2 * MAX_ATTACHED_SHARE * border) | (counts == counts.max())]
+
+
+def _unmeasured(depth_m: np.ndarray, value: float) -> np.ndarray:
+    """Return where a value is a constant, (H, W) bool: all of a frequent one, or pieces apart."""
+    same = depth_m == value
+    if not _is_one_of_many(depth_m, value):
+        return same
+    count, pieces = cv2.connectedComponents(same.astype(np.uint8), connectivity=4)
+    square = np.ones((2 * _BORDER_PX + 1,) * 2, np.uint8)
+    # A pixel beside two pieces counts for one of them.
+    beside = cv2.dilate(pieces.astype(np.float32), square).astype(np.int32)
+    beside[same | ~np.isfinite(depth_m)] = 0
+    is_attached = np.abs(depth_m - value) <= MIN_JUMP * value
+    border = np.bincount(beside.ravel(), minlength=count)
+    attached = np.bincount(beside[is_attached], minlength=count)
+    is_apart = attached <= MAX_ATTACHED_SHARE * border
+    is_apart[0] = False
+    sizes = np.bincount(pieces.ravel(), minlength=count)
+    if not (is_apart & (sizes >= MIN_SHARE * depth_m.size)).any():
+        return np.zeros(depth_m.shape, bool)
+    return is_apart[pieces]
+
+
+def _is_one_of_many(depth_m: np.ndarray, value: float) -> bool:
+    """Return whether another value is about as frequent at the places, as in quantised depth."""
+    places = depth_m[::_STRIDE, ::_STRIDE]
+    counts = np.unique(places[np.isfinite(places) & (places != value)], return_counts=True)[1]
+    return (counts.max(initial=0) * MIN_FREQUENCY_RATIO
+            > np.count_nonzero(places == value))
