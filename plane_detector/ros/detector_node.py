@@ -58,7 +58,7 @@ from plane_detector.ros.transitions import Autostart, Transitions
 from plane_detector.stopping import raise_if_stopped
 
 # Time that destroy_node waits for the work to stop.
-_HEEDING_S = 1.0
+_STOP_TIMEOUT_S = 1.0
 
 
 class PlaneDetectorNode(LifecycleNode):
@@ -126,7 +126,7 @@ class PlaneDetectorNode(LifecycleNode):
 
     def destroy_node(self) -> None:
         """Stop the work and destroy the node; work that does not stop is left in its thread."""
-        end_s = time.monotonic() + _HEEDING_S
+        end_s = time.monotonic() + _STOP_TIMEOUT_S
         self._transitions.stop()
         self._release()
         for work in (self._transitions, self._retired):

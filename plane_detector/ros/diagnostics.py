@@ -168,7 +168,7 @@ class Health:
         self._last = detection
         if detection.scale_event:
             self._logger.info(detection.scale_event)
-        before, self._gap = self._gap, gap_of(detection, wanted)
+        before, self._gap = self._gap, missing_for_classes(detection, wanted)
         if self._gap:  # numbers in it vary from frame to frame
             self.tell_once(_NUMBER.sub('', self._gap), self._gap)
         elif before and (after := f'after {_NUMBER.sub("", before)}') not in self._told:
@@ -228,7 +228,7 @@ def _facts_of(detection: Detection) -> dict[str, str]:
     return facts
 
 
-def gap_of(detection: Detection, wanted: Collection[str]) -> str:
+def missing_for_classes(detection: Detection, wanted: Collection[str]) -> str:
     """
     Return what a frame lacks for classes, obstacles and drops, and the remedy; empty if nothing.
 

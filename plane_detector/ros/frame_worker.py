@@ -215,7 +215,7 @@ def describe_frame(result: DetectedFrame) -> str:
 
 
 class FrameRecords(NamedTuple):
-    """What is told about frames, and to whom; lives as long as the node."""
+    """Where results of frames are reported; lives as long as the node."""
 
     statistics: Statistics
     requests: FrameRequests

@@ -49,7 +49,7 @@ class LateKernels:
         """Whether shapes are held back now."""
         return self._call is not None and not self._call.wait(0.0)
 
-    def usable(self, config: Config) -> Config:
+    def without_unready_shapes(self, config: Config) -> Config:
         """Return the settings for the next frame; begin to load what they lack, in a thread."""
         if not config.shapes.wanted or are_ready('shapes'):
             return config
@@ -90,7 +90,7 @@ class LiveSettings:
         if self._applied == self._all_of(processor):  # the same objects, in nearly every frame
             return
         config, processor.settings = self.of(processor)
-        usable = self.late_kernels.usable(config)
+        usable = self.late_kernels.without_unready_shapes(config)
         if processor.detector.config != usable:
             processor.detector.config = usable
         if usable is config:

@@ -149,7 +149,7 @@ def _label(frame: Frame, regions: PlaneRegions,
 def _exact(frame: Frame, regions: PlaneRegions) -> tuple[np.ndarray, np.ndarray]:
     """Return pixel labels and planes of exact depth."""
     graph = merge_coplanar(frame.cells, RegionGraph.of(frame.cells, regions), None)
-    return _label_flat_ones(frame, graph, None, frame.noise.density, MIN_TURN_DEG)
+    return _label_flat_regions(frame, graph, None, frame.noise.density, MIN_TURN_DEG)
 
 
 def _measured(frame: Frame, regions: PlaneRegions,
@@ -163,7 +163,7 @@ def _measured(frame: Frame, regions: PlaneRegions,
     graph = merge_coplanar(cells, RegionGraph.of(cells, regions), correlation)
     density = (frame.noise.density if correlation is None
                else correlation.density_within(graph.sums))
-    return _label_flat_ones(frame, graph, correlation, density,
+    return _label_flat_regions(frame, graph, correlation, density,
                             frame.config.segmentation.flatness_angle)
 
 
@@ -174,7 +174,7 @@ def _network(frame: Frame, regions: PlaneRegions) -> tuple[np.ndarray, np.ndarra
     return label_pixels(frame, graph), graph.planes
 
 
-def _label_flat_ones(frame: Frame, graph: RegionGraph, correlation: Correlation | None,
+def _label_flat_regions(frame: Frame, graph: RegionGraph, correlation: Correlation | None,
                      noise_density: float | np.ndarray,
                      min_turn_deg: float) -> tuple[np.ndarray, np.ndarray]:
     """Label pixels; remove curved regions last, so that no plane grows into them."""

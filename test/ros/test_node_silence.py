@@ -22,7 +22,13 @@ from plane_detector.depth.observation import DepthFunction
 from plane_detector.evaluation.scenes.rooms import random_room
 from plane_detector.evaluation.scenes.textures import textured
 from plane_detector.geometry.rigid_transform import RigidTransform
-from plane_detector.ros.diagnostics import DROPS, POINTS_WITHOUT_FLOOR, Health, Report, gap_of
+from plane_detector.ros.diagnostics import (
+    DROPS,
+    POINTS_WITHOUT_FLOOR,
+    Health,
+    Report,
+    missing_for_classes,
+)
 from plane_detector.ros.frame_worker import ANSWERED_WITHIN_S, MOST_CALLS, FrameRequests
 from plane_detector.ros.inputs.topic_watch import ArrivalCount, explain_silence
 from plane_detector.ros.inputs.transforms import FrameTransforms, TransformBuffer
@@ -403,7 +409,7 @@ def detection(classes, scale='metric', planes=2, gravity_note='', shape=(480, 64
     (detection((1, 0), 'relative'), ('planes',), ''),
     (detection((1, 0), 'relative'), (POINTS_WITHOUT_FLOOR,), 'unit of depth is not known (why)')])
 def test_gaps(found, wanted, told):
-    gap = gap_of(found, wanted)
+    gap = missing_for_classes(found, wanted)
     assert told in gap
     assert bool(told) == bool(gap)
 

@@ -21,7 +21,12 @@ from tqdm import tqdm
 from plane_detector.config import Config, DepthConfig
 from plane_detector.depth.estimator import DepthEstimator
 from plane_detector.pipeline import PlaneDetector
-from plane_detector.ros.diagnostics import Report, gap_of, planes_status, status_to_msg
+from plane_detector.ros.diagnostics import (
+    Report,
+    missing_for_classes,
+    planes_status,
+    status_to_msg,
+)
 from plane_detector.ros.frame_processor import FrameProcessor, make_map_messages, placement_problem
 from plane_detector.ros.inputs.synchronizer import FrameSynchronizer, depth_use
 from plane_detector.ros.live_map import LiveMap
@@ -87,7 +92,7 @@ class Tally:
         self.planes += len(detection.planes)
         scale = _scale_of(config.depth.source, detection)
         self.scales[detection.scale_method].append(scale)
-        if gap := gap_of(detection, outputs):
+        if gap := missing_for_classes(detection, outputs):
             self.gaps[gap.partition(':')[0]].append(gap)
         return {'scale': scale, 'gravity': detection.gravity_source,
                 'gravity_note': detection.gravity_note}
