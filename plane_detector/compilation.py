@@ -42,7 +42,7 @@ from plane_detector.stopping import raise_if_stopped
 
 # derived: more processes need 150 MB each and wait for the longest kernel anyway.
 MOST_PROCESSES = 6
-TELL_S = 5.0
+LOG_PERIOD_S = 5.0
 """Time between two messages while kernels are compiled."""
 _CHECK_S = 0.1
 # chosen: longer than a robot rests; each change of a file leaves the folders of before.
@@ -208,7 +208,7 @@ def _own_kernels(subjects: set[str]) -> list[Kernel]:
     return [one for one in _KERNELS if one.subject in subjects and one not in called]
 
 
-def compile_kernels(subjects: Iterable[str], tell: Callable[[str], None] = lambda text: None,
+def compile_kernels(subjects: Iterable[str], log: Callable[[str], None] = lambda text: None,
                     what: str = 'the loops') -> None:
     """
     Compile kernels, or load those that no other one calls, so that the first frame is not delayed.
@@ -218,7 +218,7 @@ def compile_kernels(subjects: Iterable[str], tell: Callable[[str], None] = lambd
     subjects : iterable of str
         Folders of the package, such as ``'segmentation'``, or ``'network'``: what only the depth
         of a network needs. Their imported kernels are compiled.
-    tell : callable
+    log : callable
         Called with a text when kernels must be compiled, and every five seconds meanwhile.
     what : str
         What is compiled, for this text.
@@ -231,12 +231,12 @@ def compile_kernels(subjects: Iterable[str], tell: Callable[[str], None] = lambd
     with _one_process(wanted[0]):
         missing = [one for one in wanted if not one.is_cached]
         if missing:
-            tell(f'compiling {what} for this machine, once; this takes about half a minute')
+            log(f'compiling {what} for this machine, once; this takes about half a minute')
             if not _memory_only.is_set():
                 try:
-                    _compile_in_processes(missing, tell)
+                    _compile_in_processes(missing, log)
                 except OSError as error:
-                    tell(f'no process can be started to help: {error}')
+                    log(f'no process can be started to help: {error}')
         for one in wanted:
             one.compiled()
     _remove_unused(wanted)
@@ -248,7 +248,7 @@ def load_once(*subjects: str) -> None:
     compile_kernels(subjects, logging.getLogger(__name__).warning)
 
 
-def _compile_in_processes(kernels: list[Kernel], tell: Callable[[str], None]) -> None:
+def _compile_in_processes(kernels: list[Kernel], log: Callable[[str], None]) -> None:
     """
     Let other processes fill the cache; what they fail to compile is compiled by the caller.
 
@@ -270,7 +270,7 @@ def _compile_in_processes(kernels: list[Kernel], tell: Callable[[str], None]) ->
                search_path, str(os.getpid()), *modules]
     # Numba would mark up each of the 50000 types that it tries in vain.
     environment = {**os.environ, 'NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING': '1'}
-    helpers, told_s = [], time.monotonic()
+    helpers, logged_s = [], time.monotonic()
     with open(queue, 'rb') as numbers, tempfile.TemporaryFile() as errors:
         try:
             for _ in range(min(len(os.sched_getaffinity(0)), MOST_PROCESSES, len(modules))):
@@ -280,9 +280,9 @@ def _compile_in_processes(kernels: list[Kernel], tell: Callable[[str], None]) ->
                     env=environment, start_new_session=True))
             while any(helper.poll() is None for helper in helpers):
                 raise_if_stopped()
-                if time.monotonic() - told_s > TELL_S:
-                    told_s, done = time.monotonic(), sum(one.is_cached for one in kernels)
-                    tell(f'compiled {done} of {len(kernels)} loops')
+                if time.monotonic() - logged_s > LOG_PERIOD_S:
+                    logged_s, done = time.monotonic(), sum(one.is_cached for one in kernels)
+                    log(f'compiled {done} of {len(kernels)} loops')
                 time.sleep(_CHECK_S)
         finally:
             for helper in helpers:
@@ -291,7 +291,7 @@ def _compile_in_processes(kernels: list[Kernel], tell: Callable[[str], None]) ->
         if any(helper.returncode for helper in helpers):
             errors.seek(0)
             reason = errors.read().decode(errors='replace').strip().rpartition('\n')[2]
-            tell(f'a process that helps has failed, so that compiling takes longer: {reason}')
+            log(f'a process that helps has failed, so that compiling takes longer: {reason}')
 
 
 def help_parent(parent: int, modules: Sequence[str]) -> None:

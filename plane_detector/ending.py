@@ -12,6 +12,7 @@ then a process of our own, started beforehand, kills this one.
 
 from __future__ import annotations
 
+import math
 import os
 import select
 import signal
@@ -22,16 +23,18 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import NoReturn, TypeVar
 
+from plane_detector.plain_text import plain
 from plane_detector.stopping import Background, Stop, Stopped
 
 Result = TypeVar('Result')
 FAILED, INTERRUPTED = 1, 130
 MOST_ENDING_S = 2.5
 """Longest time from the first signal to the end of the process."""
-KILLED_AFTER_S = 8
-"""Longest time from the first signal until the process is killed if no thread of it can run."""
+KILLED_LATER_S = 5
+"""Time after `MOST_ENDING_S` until the process is killed, if no thread of it can run."""
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 _OVER = b'\0'
+_MOST_SHOWN = 10_000
 # The guard passes on what Python's C code writes for each signal, until the process ends or says
 # that it is over.
 _GUARD = """
@@ -114,7 +117,8 @@ def _start_guard(signals: int) -> subprocess.Popen:
     before = signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)
     try:
         return subprocess.Popen(
-            [sys.executable, '-I', '-S', '-c', _GUARD, str(os.getpid()), str(KILLED_AFTER_S)],
+            [sys.executable, '-I', '-S', '-c', _GUARD, str(os.getpid()),
+             str(math.ceil(MOST_ENDING_S + KILLED_LATER_S))],
             stdin=signals, stdout=subprocess.PIPE)
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
@@ -148,13 +152,14 @@ def until_signal(function: Callable[[], Result]) -> Result:
 
 def run_program(name: str, function: Callable[[], int],
                 *expected: type[Exception]) -> int:
-    """Return the exit code of a program; an expected error is told in one line."""
+    """Return the exit code of a program; an expected error is printed without traceback."""
     try:
         return leave(function())
     except (KeyboardInterrupt, Stopped):
         return leave(INTERRUPTED)
     except (OSError, ValueError, ModuleNotFoundError, *expected) as error:
-        print(f'{name}: {error}', file=sys.stderr)
+        lines = (plain(line, _MOST_SHOWN) for line in str(error).splitlines())
+        print(f'{name}: ' + '\n'.join(lines), file=sys.stderr)
         return leave(FAILED)
 
 

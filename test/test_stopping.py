@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from plane_detector.ending import run_program
 from plane_detector.stopping import Background, Stop, Stopped, raise_if_stopped
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -81,6 +82,7 @@ def test_a_process_exits_despite_work_that_ignores_the_stop(work):
     program = f"""
 import sys, time
 from plane_detector.ending import leave
+from plane_detector.ending import run_program
 from plane_detector.stopping import Background
 call = Background(lambda: {work}, 'work')
 call.wait(0.2)
@@ -120,7 +122,7 @@ def test_a_process_whose_interpreter_hangs_ends_after_a_signal(number):
     program = """
 import collections, itertools
 from plane_detector import ending
-ending.KILLED_AFTER_S = 1
+ending.MOST_ENDING_S = ending.KILLED_LATER_S = 0.5
 
 def work():
     print('hangs', flush=True)
@@ -146,7 +148,7 @@ def test_slow_work_that_heeds_the_signal_ends_by_itself():
 import time
 from plane_detector import ending
 from plane_detector.stopping import raise_if_stopped, Stopped
-ending.KILLED_AFTER_S = 1
+ending.KILLED_LATER_S = -1.5
 
 def work():
     time.sleep(1.5)
@@ -169,6 +171,14 @@ except Stopped:
         finally:
             process.kill()
     assert process.returncode == 0
+
+
+def test_an_error_that_quotes_data_cannot_drive_the_terminal(capsys):
+    def fail():
+        raise ValueError('a bag with a topic called \x1b[2J\nand more')
+    assert run_program('replay', fail) == 1
+    assert capsys.readouterr().err == (
+        'replay: a bag with a topic called \\x1b[2J\nand more\n')
 
 
 SCRIPT = """

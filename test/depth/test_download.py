@@ -141,6 +141,17 @@ def test_a_body_below_the_least_rate_is_abandoned(server, monkeypatch):
     call.wait()
 
 
+def test_the_rate_is_that_of_the_last_seconds(monkeypatch):
+    monkeypatch.setattr(download, 'RATE_WINDOW_S', 20.0)
+    transfer = download._Transfer('', 10**6)
+    transfer.content.extend(bytes(50_000))
+    transfer._window = time.monotonic() - 20.5, 30_000
+    assert not transfer.slowness()
+    assert not transfer.slowness(), 'the next window has begun'
+    transfer._window = time.monotonic() - 20.5, 30_001
+    assert transfer.slowness() == '19999 bytes in 20 s'
+
+
 def test_a_file_of_unknown_size_has_a_limit(server, monkeypatch):
     monkeypatch.setattr(download, 'MOST_BYTES', len(CONTENT) + 1)
     assert UrlSource(server.url + '/good.onnx').content(0) == CONTENT
@@ -158,8 +169,10 @@ def test_a_download_can_be_stopped(server, tmp_path, monkeypatch, file):
     with pytest.raises(Stopped):
         call.result()
     assert files_in(tmp_path) == []
-    while any(thread.name == 'download' for thread in threading.enumerate()):
-        time.sleep(0.01)  # its socket is shut down
+    for thread in threading.enumerate():
+        if thread.name == 'download':
+            thread.join(20.0)
+            assert not thread.is_alive(), 'its socket is shut down'
 
 
 def test_the_next_source_is_tried_if_one_lacks_the_file(server, tmp_path, monkeypatch):

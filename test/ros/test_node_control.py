@@ -138,6 +138,7 @@ def test_configuring_fails_with_the_reason_and_can_be_tried_again(robot, tmp_pat
     pytest.importorskip('onnxruntime', reason='names of networks need ONNX Runtime')
     node = start(robot, wait=False, depth__model=str(tmp_path / (200 * 'm') / 'missing.onnx'),
                  depth__output='metric_depth')
+    assert robot.is_logged('cannot be configured')
     status, values = robot.diagnosis()
     assert status.level == DiagnosticStatus.ERROR
     assert values['last_error'].endswith('metric3d_v2_small'), 'the whole reason'

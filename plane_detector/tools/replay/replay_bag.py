@@ -21,6 +21,7 @@ from tqdm import tqdm
 from plane_detector.config import Config, DepthConfig
 from plane_detector.depth.estimator import DepthEstimator
 from plane_detector.pipeline import PlaneDetector
+from plane_detector.plain_text import plain
 from plane_detector.ros.diagnostics import (
     Report,
     missing_for_classes,
@@ -51,6 +52,7 @@ from plane_detector.types import Detection
 INTERRUPTED = 'interrupted_'  # prefix of the names of what an interrupted replay has made so far
 _DIAGNOSTICS_TOPIC = '/diagnostics'
 _REPLAY_NAME = 'replay'
+_MOST_SHOWN = 10_000  # characters, of the names of all topics
 
 
 @dataclass
@@ -104,8 +106,8 @@ class Tally:
 
     def add_error(self, error: Exception) -> str:
         """Count a frame that was skipped; return the reason."""
-        reason = (str(error) if isinstance(error, ValueError)
-                  else f'{type(error).__name__}: {error}')  # a bug; the other frames go on
+        reason = plain(str(error) if isinstance(error, ValueError)
+                       else f'{type(error).__name__}: {error}')  # a bug; the other frames go on
         self.errors[reason] += 1
         return reason
 
@@ -191,7 +193,7 @@ def replay(options: ReplayOptions, quiet: bool = False) -> Tally:
     """
     def tell(text: str) -> None:
         if not quiet:
-            print(text, file=sys.stderr)
+            print(plain(text, _MOST_SHOWN), file=sys.stderr)
 
     with BagReader(options.source) as bag, Draft(options.target) as draft:
         if os.path.lexists(options.target):
