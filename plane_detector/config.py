@@ -249,17 +249,17 @@ class GroundConfig(Settings, section='ground'):
 class MapConfig(Settings, section='map'):
     """One lasting plane for one surface, from the planes of all images and the poses of TF."""
 
-    enabled: bool = setting(
+    enabled: bool = fixed_setting(
         False, 'keep a map of the planes of all images in target_frame, which must not move with '
         'the camera: odom or map')
-    file: str = setting(
+    file: str = fixed_setting(
         'planes.json', 'file that ~/map/save writes and ~/map/load reads')
-    cell: float = setting(
+    cell: float = fixed_setting(
         0.04, 'side of the square cells in which a plane is known to be there', 'm', 0.005, 1.0)
-    pose_jitter: float = setting(
+    pose_jitter: float = fixed_setting(
         0.005, 'standard deviation of the error of a pose that is new in each image; of its '
         'rotation, half as many radians', 'm', 0.0, 1.0)
-    pose_drift: float = setting(
+    pose_drift: float = fixed_setting(
         0.005, 'standard deviation of the drift of the poses after one metre or radian; it grows '
         'with the root of the way', '', 0.0, 1.0)
 

@@ -108,6 +108,11 @@ class Cells:
                                   for v in (first_row, last_row)])
         return self.size_m * (corners + np.array(self.low))
 
+    def nearest_m(self, flat_m: np.ndarray) -> np.ndarray:
+        """Return the middle of the nearest of these cells to a point, both (2,) along u and v."""
+        middles_m = self.middles_m()
+        return middles_m[np.argmin(((middles_m - flat_m) ** 2).sum(axis=1))]
+
     def grown(self, low_m: np.ndarray, high_m: np.ndarray) -> Cells:
         """Return the cells with at least those between two corners (2,)."""
         wanted = np.clip([np.floor(low_m / self.size_m), np.ceil(high_m / self.size_m)],

@@ -46,6 +46,8 @@ _LEAST_SYSTEMATIC = 1.5e-4
 # .3 % of the pixels, has about fifteen.
 _ROWS = 60
 FORGETTING = 0.95
+# chosen: of averages over some twenty images: jitter of the poses, systematic error of the sensor.
+SMOOTHING = 0.95
 # A view counts fully if the camera has moved this far since the last image.
 _MOVED_M, _TURNED_RAD = 0.05, np.radians(3.0)
 # A plane becomes one of the map if its normal is known within this.
@@ -113,6 +115,7 @@ class PlaneMap:
         self.up = np.array([0.0, 0.0, 1.0])
         self._jump_images = 0
         self.jitter_m = 0.0
+        self._systematic: float | None = None
 
     def update(self, placed: PlacedDetection) -> MapUpdate:
         """
@@ -130,7 +133,11 @@ class PlaneMap:
             raise ValueError('there is no map without metres, and the scale of the depth is not '
                              'known: see scale.method')
         load_once('mapping')
-        image = _Image.of(placed)
+        # The systematic error belongs to the sensor; what single images show of it varies.
+        found_noise = max(placed.detection.systematic_noise, _LEAST_SYSTEMATIC)
+        share = 0.0 if self._systematic is None else SMOOTHING
+        self._systematic = share * (self._systematic or 0.0) + (1 - share) * found_noise
+        image = _Image.of(placed, self._systematic)
         # 1. The pose with the carried correction.
         prediction = predict(self.correction, placed.pose, self.config)
         # 2. to 5. Planes in view, candidates, the correction by them, candidates again.
@@ -143,7 +150,7 @@ class PlaneMap:
                 self._jump_images += 1
                 if self._jump_images < _JUMP_IMAGES:
                     return MapUpdate(self._labels(attempt), attempt.explained)
-                jump_m = motion(attempt.correction.camera, wide.correction.camera)[0]
+                jump_m = motion(prediction.camera, wide.correction.camera)[0]
                 attempt = wide
         self._jump_images = 0
         # 6. Found planes are assigned; two that this image shows apart stay apart.
@@ -209,7 +216,7 @@ class PlaneMap:
         """Average how far the pose of an image is off the carried one, over some twenty images."""
         camera, lasting = correction.camera, correction.lasting.after(correction.pose)
         off_m = np.linalg.norm(camera.translation_m - lasting.translation_m)
-        self.jitter_m = float(np.hypot(np.sqrt(0.95) * self.jitter_m, np.sqrt(0.05) * off_m))
+        self.jitter_m = float(np.sqrt(SMOOTHING * self.jitter_m**2 + (1 - SMOOTHING) * off_m**2))
 
     @property
     def _camera_m(self) -> np.ndarray:
@@ -348,9 +355,9 @@ class _Image:
     noise: float  # standard deviation of the disparity, 1/m
 
     @classmethod
-    def of(cls, placed: PlacedDetection) -> _Image:
+    def of(cls, placed: PlacedDetection, systematic: float) -> _Image:
+        """Return an image with the systematic error of the sensor, 1/m."""
         detection, intrinsics = placed.detection, placed.intrinsics
-        systematic = max(detection.systematic_noise, _LEAST_SYSTEMATIC)
         found = found_planes(detection, intrinsics, systematic)
         apart, same_side = apart_in_image(found)
         return cls(placed, found, apart, apart & same_side,

@@ -13,6 +13,7 @@ import sys
 import time
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -49,7 +50,9 @@ from plane_detector.ros.frame_worker import (
 )
 from plane_detector.ros.inputs.subscriptions import Subscriptions, anchor_role, input_topics
 from plane_detector.ros.inputs.transforms import FrameTransforms, listen_to_tf
+from plane_detector.ros.live_map import LiveMap
 from plane_detector.ros.live_settings import LiveSettings, load_kernels
+from plane_detector.ros.map_interface import MapInterface
 from plane_detector.ros.outputs.frame import DetectedFrame
 from plane_detector.ros.outputs.topics import OUTPUTS, OutputPublishers, frame_to_json
 from plane_detector.ros.point_query import PointQuery
@@ -105,6 +108,8 @@ class PlaneDetectorNode(LifecycleNode):
         self._inputs: Subscriptions | None = None
         self._outputs: OutputPublishers | None = None
         self._query: PointQuery | None = None
+        self._live_map: LiveMap | None = None
+        self._map: MapInterface | None = None
         # Answers that another thread gives wake the executor.
         self._requests = FrameRequests(self.create_guard_condition(lambda: None).trigger)
         self._faults = FaultLog(self.get_logger(), 'frame skipped')
@@ -146,7 +151,10 @@ class PlaneDetectorNode(LifecycleNode):
         try:
             detector = self._transitions.prepared()
             self._outputs = OutputPublishers(self, OUTPUTS)
-            self._query = PointQuery(self)
+            if detector.config.map.enabled:
+                self._live_map = LiveMap(detector.config.map, self._live.settings.target_frame)
+                self._map = MapInterface(self, self._live_map, Path(detector.config.map.file))
+            self._query = PointQuery(self, self._live_map)
             self._listening = self._needed_tf()
         except ImportError as error:
             raise CannotRunError(explanation(error)) from error
@@ -158,10 +166,12 @@ class PlaneDetectorNode(LifecycleNode):
         topics = input_topics(self, self._live.settings.image_transport, depth)
         topics['image'] = topics[anchor_role(depth)]
         self._processor = FrameProcessor(detector, self._live.settings, topics['image'],
-                                         self._given_transforms or self._listening)
+                                         self._given_transforms or self._listening,
+                                         self._live_map)
         self._flow = FrameFlow(
             self._processor, self._outputs, self._query, self._live,
-            FrameRecords(self._statistics, self._requests, self._faults, self._health))
+            FrameRecords(self._statistics, self._requests, self._faults, self._health),
+            self._map)
         for line in introduction(detector.source.facts, topics,
                                  self.resolve_topic_name('~/planes')):
             self.get_logger().info(line)
@@ -258,6 +268,10 @@ class PlaneDetectorNode(LifecycleNode):
             return DiagnosticStatus.ERROR, self._health.failure, facts
         if self._inputs is None:
             return DiagnosticStatus.OK, facts['state'], facts
+        if self._live_map is not None:
+            facts.update(self._live_map.facts())
+            for event in self._live_map.take_events():
+                self.get_logger().warning(event)
         self._inputs.follow_publishers()
         for key, misfit in self._outputs.misfits().items():
             self._health.tell_once(key, misfit)
@@ -269,11 +283,15 @@ class PlaneDetectorNode(LifecycleNode):
         if not silence:
             silence = self._inputs.explain_loss()
             self._health.tell_changes('loss', silence)
+        if not silence and self._live_map is not None:
+            silence = self._live_map.problem()
+            self._health.tell_changes('map', silence)
         self._requests.expire(obstacle)
         arrivals = self._inputs.arrivals()
         facts['images_received'] = (
             f'{arrivals.images}, with {arrivals.camera_infos} CameraInfo, in 5 s')
-        is_idle = self._live.settings.mode == 'continuous' and not self._outputs.wanted()
+        is_idle = (self._live.settings.mode == 'continuous' and self._map is None
+                   and not self._outputs.wanted())
         return *self._health.status(report, silence, is_idle), facts
 
     def _warn_of_namesake(self) -> None:
@@ -325,10 +343,10 @@ class PlaneDetectorNode(LifecycleNode):
         if self._flow is not None:
             self._flow.stop()
             self._retired, self._flow = self._flow.worker, None
-        for ends in (self._outputs, self._query, self._listening):
+        for ends in (self._outputs, self._map, self._query, self._listening):
             if ends is not None:
                 ends.destroy()
-        self._outputs = self._query = self._listening = None
+        self._outputs = self._map = self._live_map = self._query = self._listening = None
         self._processor = None
         self._health.clear()
         return TransitionCallbackReturn.SUCCESS

@@ -17,8 +17,8 @@ from plane_detector.ros.inputs.frame_conversion import FrameConverter
 from plane_detector.ros.inputs.synchronizer import Frame, ns_of
 from plane_detector.ros.inputs.transforms import CameraPose, FrameTransforms, TransformBuffer
 from plane_detector.ros.live_map import LiveMap
-from plane_detector.ros.outputs.frame import DetectedFrame, MapView
-from plane_detector.ros.outputs.topics import MAP_OUTPUTS, OUTPUTS
+from plane_detector.ros.outputs.frame import DetectedFrame
+from plane_detector.ros.outputs.topics import OUTPUTS, make_map_messages
 from plane_detector.stage_timer import StageTimer
 
 
@@ -74,7 +74,7 @@ class FrameProcessor:
 
         """
         found = self.begin(frame)()
-        return found, make_messages(found, wanted)
+        return found, make_messages(found, wanted) | make_map_messages(found.map_view)
 
     def begin(self, frame: Frame) -> Callable[[], DetectedFrame]:
         """
@@ -118,14 +118,7 @@ def make_messages(found: DetectedFrame, wanted: Collection[str]) -> dict[str, An
     with found.timer('messages'):
         return {name: msg for name in wanted
                 if not (found.pose_problem and OUTPUTS[name].is_placed)
-                and (msg := OUTPUTS[name].make(found)) is not None
-                } | make_map_messages(found.map_view)
-
-
-def make_map_messages(view: MapView | None) -> dict[str, Any]:
-    """Return the messages of the map, which are latched: whether anybody listens or not."""
-    return {} if view is None else {name: output.make(view)
-                                    for name, output in MAP_OUTPUTS.items()}
+                and (msg := OUTPUTS[name].make(found)) is not None}
 
 
 def placement_problem(found: DetectedFrame, wanted: Collection[str]) -> str:

@@ -24,6 +24,7 @@ from plane_detector.ros.fault_log import FaultLog
 from plane_detector.ros.frame_processor import FrameProcessor, make_messages, placement_problem
 from plane_detector.ros.inputs.synchronizer import Frame, stamp_text
 from plane_detector.ros.live_settings import LiveSettings
+from plane_detector.ros.map_interface import MapInterface
 from plane_detector.ros.outputs.frame import DetectedFrame
 from plane_detector.ros.outputs.topics import OutputPublishers
 from plane_detector.ros.point_query import PointQuery
@@ -232,10 +233,11 @@ class FrameFlow:
     """
 
     def __init__(self, processor: FrameProcessor, outputs: OutputPublishers, query: PointQuery,
-                 live: LiveSettings, records: FrameRecords) -> None:
+                 live: LiveSettings, records: FrameRecords,
+                 planes_map: MapInterface | None = None) -> None:
         self._processor: FrameProcessor | None = processor
         self._outputs, self._query, self._live = outputs, query, live
-        self._records = records
+        self._records, self._map = records, planes_map
         self.worker = FrameWorker(self._begin, overlaps=processor.has_network)
 
     def accept(self, frame: Frame) -> None:
@@ -261,7 +263,8 @@ class FrameFlow:
         """Whether the next frame is requested, or all are and an output has subscribers."""
         if self._records.requests.are_waiting or self._query.is_waiting:
             return True
-        return self._live.settings.mode == 'continuous' and self._outputs.is_any_wanted()
+        return self._live.settings.mode == 'continuous' and (
+            self._map is not None or self._outputs.is_any_wanted())
 
     def _begin(self, frame: Frame) -> Callable[[], None]:
         """Do the first half of the work on a frame; return a function that does the second."""
@@ -280,6 +283,8 @@ class FrameFlow:
             with current_stop().uncut():  # all of this or, after a stop, nothing of it
                 start_s = time.perf_counter()
                 self._outputs.publish(messages)
+                if self._map is not None:
+                    self._map.publish(found.map_view)
                 if problem := placement_problem(found, wanted):
                     raise ValueError(problem)
                 self._query.answer(found)

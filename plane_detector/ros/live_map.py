@@ -8,15 +8,20 @@ import threading
 from pathlib import Path
 
 import numpy as np
+from builtin_interfaces.msg import Time
 from std_msgs.msg import Header
 
 from plane_detector.config import MapConfig
+from plane_detector.mapping.map_plane import MapPlane
 from plane_detector.mapping.plane_map import MapUpdate, PlaneMap
 from plane_detector.mapping.registration import MOST_CORRECTION_M
 from plane_detector.ros.outputs.frame import DetectedFrame, MapView
+from plane_detector.types import Planes
 
 # chosen: the map is published at most twice a second, by the stamps of the images.
 PERIOD_S = 0.5
+# chosen: how far off a plane of the map a click may be: a click is on a surface that is seen.
+CLICK_REACH_M = 0.1
 # chosen: a camera that has not moved for so many images may be fixed to the target frame.
 _STILL_IMAGES = 30
 
@@ -90,10 +95,27 @@ class LiveMap:
             is_new = self._last is not None and self._published_s != self._last_s
             return self._view() if is_new else None
 
-    def now(self) -> MapView | None:
-        """Return the map; None before the first image."""
+    def view(self, stamp: Time) -> MapView:
+        """Return the map as it is now, with this stamp."""
         with self._lock:
-            return None if self._last is None else MapView(self._last[0], self._map.snapshot())
+            return MapView(Header(stamp=stamp, frame_id=self._frame_id), self._map.snapshot())
+
+    def plane_at(self, point_m: np.ndarray) -> tuple[Planes, MapPlane]:
+        """
+        Return the plane at a point (3,) of the target frame, as one row and as it is kept.
+
+        ValueError if none is within reach.
+        """
+        with self._lock:
+            snapshot = self._map.snapshot()
+        inner_m = snapshot.to_poses.inverse().points(point_m)
+        off_m = [np.linalg.norm(point_m - snapshot.to_poses.points(
+            plane.points(plane.cells.nearest_m(plane.flat(inner_m[None])[0])[None])[0]))
+            for plane in snapshot.surfaces]
+        if not off_m or min(off_m) > CLICK_REACH_M:
+            raise ValueError('there is no plane, in the map either')
+        index = int(np.argmin(off_m))
+        return snapshot.planes.picked([index]), snapshot.surfaces[index]
 
     def clear(self) -> str:
         """Discard the map; return what was done."""

@@ -12,8 +12,10 @@ from rclpy.lifecycle import LifecycleNode
 
 from plane_detector.ros import qos
 from plane_detector.ros.fault_log import FaultLog
+from plane_detector.ros.live_map import LiveMap
 from plane_detector.ros.outputs import messages
 from plane_detector.ros.outputs.frame import DetectedFrame
+from plane_detector.types import Planes
 
 # derived: a click is within a few pixels of its target; planes further away are not meant.
 REACH_PX = 8
@@ -25,8 +27,8 @@ _LOG_PERIOD_S = 0.5  # chosen: users do not click faster, programs may
 class PointQuery:
     """Answers clicks, which the thread of the executor adds, with the next frame of the worker."""
 
-    def __init__(self, node: LifecycleNode):
-        self._node = node
+    def __init__(self, node: LifecycleNode, live_map: LiveMap | None = None):
+        self._node, self._map = node, live_map
         self._clicks: deque[PointStamped] = deque(maxlen=_MOST_CLICKS)
         self._faults = FaultLog(node.get_logger(), 'clicked point')
         self._publisher = node.create_lifecycle_publisher(
@@ -51,15 +53,26 @@ class PointQuery:
         while self._clicks:
             click = self._clicks.popleft()
             try:
-                index = plane_at(result, point_in_camera(result, click))
+                plane, description = self._plane_at(result, point_in_camera(result, click))
             except ValueError as error:
                 self._faults.tell(error)
                 continue
-            header, planes = result.target_header, result.planes
-            (pose,) = messages.poses_to_msg(header, planes.picked([index])).poses
-            self._publisher.publish(PoseStamped(header=header, pose=pose))
-            self._node.get_logger().info(f'clicked point: {describe_plane(result, index)}',
+            (pose,) = messages.poses_to_msg(result.target_header, plane).poses
+            self._publisher.publish(PoseStamped(header=result.target_header, pose=pose))
+            self._node.get_logger().info(f'clicked point: {description}',
                                          throttle_duration_sec=_LOG_PERIOD_S)
+
+    def _plane_at(self, result: DetectedFrame, point_m: np.ndarray) -> tuple[Planes, str]:
+        """Return the plane of the image at a point, else that of the map, and a description."""
+        try:
+            index = plane_at(result, point_m)
+        except ValueError:
+            if self._map is None or result.pose is None:
+                raise
+            plane, kept = self._map.plane_at(result.placed(point_m))
+            return plane, (f'plane {kept.label} of the map, {kept.plane_class.readable}, area '
+                           f'{kept.cells.area_m2:.2f}, seen in {kept.views} images')
+        return result.planes.picked([index]), describe_plane(result, index)
 
     def refuse_all(self) -> None:
         """Refuse the waiting clicks; called in the thread of the executor."""

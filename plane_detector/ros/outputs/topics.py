@@ -33,7 +33,7 @@ from plane_detector.ros.outputs.clouds import (
     shapes_to_msg,
 )
 from plane_detector.ros.outputs.detections import Detection3DArray, detections_to_msg
-from plane_detector.ros.outputs.frame import DetectedFrame
+from plane_detector.ros.outputs.frame import DetectedFrame, MapView
 from plane_detector.ros.outputs.map_messages import (
     map_boundaries_to_msg,
     map_markers_to_msg,
@@ -95,6 +95,12 @@ MAP_OUTPUTS: dict[str, Output] = {
     'map/boundaries': Output(PointCloud2, map_boundaries_to_msg),
     'map/markers': Output(MarkerArray, map_markers_to_msg),
 }
+
+
+def make_map_messages(view: MapView | None) -> dict[str, Any]:
+    """Return the messages of the map, which are latched: whether anybody listens or not."""
+    return {} if view is None else {name: output.make(view)
+                                    for name, output in MAP_OUTPUTS.items()}
 
 
 class OutputPublishers:

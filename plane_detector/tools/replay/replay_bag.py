@@ -28,12 +28,12 @@ from plane_detector.ros.diagnostics import (
     planes_status,
     status_to_msg,
 )
-from plane_detector.ros.frame_processor import FrameProcessor, make_map_messages, placement_problem
+from plane_detector.ros.frame_processor import FrameProcessor, placement_problem
 from plane_detector.ros.inputs.synchronizer import FrameSynchronizer, depth_use
 from plane_detector.ros.live_map import LiveMap
 from plane_detector.ros.live_settings import load_kernels
 from plane_detector.ros.outputs.frame import DetectedFrame
-from plane_detector.ros.outputs.topics import MAP_OUTPUTS, OUTPUTS
+from plane_detector.ros.outputs.topics import MAP_OUTPUTS, OUTPUTS, make_map_messages
 from plane_detector.stopping import Stopped, raise_if_stopped
 from plane_detector.tools.replay.bag_reader import BagError, BagReader
 from plane_detector.tools.replay.inputs import (
