@@ -6,9 +6,9 @@ from __future__ import annotations
 
 import threading
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from builtin_interfaces.msg import Time
 from std_msgs.msg import Header
 
 from plane_detector.config import MapConfig
@@ -95,8 +95,8 @@ class LiveMap:
             is_new = self._last is not None and self._published_s != self._last_s
             return self._view() if is_new else None
 
-    def view(self, stamp: Time) -> MapView:
-        """Return the map as it is now, with this stamp."""
+    def view(self, stamp: Any) -> MapView:
+        """Return the map as it is now, with this builtin_interfaces/Time."""
         with self._lock:
             return MapView(Header(stamp=stamp, frame_id=self._frame_id), self._map.snapshot())
 
