@@ -177,6 +177,7 @@ class Subscriptions:
         self._camera_header: Header | None = None
         self._config = config
         self._is_mounted, self._mounted_by_s = False, math.inf
+        self._has_tf_for_imu_only = not (settings.base_frame or settings.target_frame)
         self._subscriptions: dict[str, InputSubscription] = {}
         try:
             for role, (msg_type, on_message) in wanted.items():
@@ -307,7 +308,10 @@ class Subscriptions:
         self._hand_over(self._synchronizer.add_depth(msg))
 
     def _on_imu(self, msg: Imu) -> None:
-        self._is_mounted = self._is_mounted or self._mount(msg.header.frame_id)
+        if not self._is_mounted:
+            self._is_mounted = self._mount(msg.header.frame_id)
+            if self._is_mounted and self._has_tf_for_imu_only and self._transforms is not None:
+                self._transforms.destroy()  # listening takes time
         if self._is_mounted:
             self._synchronizer.add_imu(msg)
 

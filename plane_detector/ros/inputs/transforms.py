@@ -174,9 +174,10 @@ class FrameTransforms:
         self._was_missing = False
 
     def destroy(self) -> None:
-        """Stop listening."""
+        """Stop listening; what has been received stays."""
         if self._listener is not None:
             self._listener.unregister()
+            self._listener = None
 
     def forget(self) -> None:
         """
