@@ -63,6 +63,8 @@ def test_a_shape_is_found_with_its_type_size_and_pixels(name, sigma, camera):
     assert [shape.type for shape in found.shapes] == [kind]
     truth = np.isfinite(scene.depth_m) & (scene.labels < 0)
     mask = found.shape_labels == 0
+    # No loop over planes may take a shape for one, as the own floor that has no plane.
+    assert found.labels.max() < len(found.planes) and (found.labels[mask] == -1).all()
     assert (mask & truth).sum() / (mask | truth).sum() > (0.85 if sigma else 0.95)
     shape, = found.shapes
     assert shape.inlier_count == mask.sum()
