@@ -331,9 +331,9 @@ def mark_drops(depth_m, labels, ground, lines, ways, ray_x, ray_y, planes, down,
                 if pending[w] >= 0 and end_k[w] >= 0:
                     e = pending_k[w]
                     s = planes[e, 0] * x + planes[e, 1] * y + planes[e, 2]
-                    # At the level before the drop, beyond doubt.
+                    # On the plane before the drop, or at its level beyond doubt.
                     off = abs(s * z + planes[e, 3]) + abs(s) * z * z * error
-                    if off <= 0.5 * found[pending[w], 3]:
+                    if k == e or off <= 0.5 * found[pending[w], 3]:
                         if _is_reflection(depth_m, lines, pending_end[w], i, w, ray_x, ray_y,
                                           planes, down, e, z, min_drop, error):
                             found[pending[w], 4] = -1
