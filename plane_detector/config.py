@@ -243,6 +243,17 @@ class GroundConfig(Settings, section='ground'):
     min_drop: float = setting(
         0.08, 'where the next surface behind the end of the ground is lower by more, there is a '
         'drop', 'm', 0.01, 10.0)
+    ignore_box: tuple[float, ...] = setting(
+        (0.0,) * 6, 'what of the robot itself is in view: least x y z and largest x y z of a box '
+        'in the optical frame, in which depth is neither ground nor obstacle; all 0: nothing',
+        'm', -100.0, 100.0)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        box = self.ignore_box
+        if len(box) != 6 or any(low > high for low, high in zip(box[:3], box[3:], strict=False)):
+            raise ValueError('ground.ignore_box must be 6 numbers, the least x y z and the '
+                             f'largest x y z of a box, not {box!r}')
 
 
 @dataclass(frozen=True)

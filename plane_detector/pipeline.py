@@ -253,7 +253,8 @@ class PlaneDetector:
                          gravity_probability=around.gravity.probability,
                          horizontal_axes=around.level_axes, ground_pixels=ground.pixels,
                          drop_note=ground.note, camera_height_m=ground.camera_height_m,
-                         tilt_deg=ground.tilt_deg, stage_seconds=timer.seconds)
+                         tilt_deg=ground.tilt_deg, mounting=ground.mounting,
+                         stage_seconds=timer.seconds)
 
     def reset(self) -> None:
         """

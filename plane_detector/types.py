@@ -367,6 +367,41 @@ class GroundPixels:
 
 
 @dataclass(frozen=True)
+class Mounting:
+    """
+    How the camera is mounted, as stated and as the floor shows it.
+
+    Examples
+    --------
+    >>> mounting = Mounting(0.6, 0.702, 0.02, 20.0, 20.1, 0.1, 2.5)
+    >>> mounting.problem
+    'the floor is 0.70 m below the camera, not 0.60 m as stated'
+
+    """
+
+    stated_height_m: float  # NaN: not stated
+    height_m: float
+    height_error_m: float  # largest difference that is no problem
+    stated_tilt_deg: float  # of the optical axis below the horizon; NaN: not stated
+    tilt_deg: float
+    angle_deg: float  # between the stated direction down and that of the floor, also sideways
+    angle_error_deg: float
+
+    @property
+    def problem(self) -> str:
+        """Which differences exceed their errors; empty if none."""
+        problems = []
+        if abs(self.height_m - self.stated_height_m) > self.height_error_m:
+            problems.append(f'the floor is {self.height_m:.2f} m below the camera, not '
+                            f'{self.stated_height_m:.2f} m as stated')
+        if self.angle_deg > self.angle_error_deg:
+            problems.append(f'by the floor, the camera is tilted {self.tilt_deg:.1f} degrees '
+                            f'down, not {self.stated_tilt_deg:.1f} as stated, and off by '
+                            f'{self.angle_deg:.1f} in all')
+        return '; '.join(problems)
+
+
+@dataclass(frozen=True)
 class Detection(PlaneSegmentation):
     """Result of the whole pipeline for one image."""
 
@@ -391,6 +426,7 @@ class Detection(PlaneSegmentation):
     drop_note: str = ''  # why there are no drops; empty if they are searched for
     camera_height_m: float = float('nan')  # above the own floor; NaN unknown
     tilt_deg: float = float('nan')  # of the optical axis below the horizon; NaN unknown
+    mounting: Mounting | None = None  # if something of it is stated and a floor is seen
 
     @property
     def classes(self) -> tuple[PlaneClass, ...]:

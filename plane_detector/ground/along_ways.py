@@ -239,6 +239,13 @@ def mark_ground(depth_m, labels, lines, ways, ray_x, ray_y, planes, down, is_gro
                     way = zero if is_hidden[w] else far - ahead[w] - z * z * error
                     rise = abs(z * sight - below[w])
                     steepest = min(max(low_m, slope * way), 2 * low_m)
+                    if not near and not is_hidden[w] and reference[w] != own:
+                        # Behind a lower level, as a reflection is, the own floor goes on.
+                        h = (z * (planes[own, 0] * x + planes[own, 1] * y + planes[own, 2])
+                             + planes[own, 3])
+                        if abs(h) <= low_m:
+                            near, reference[w], heights[p], last_seen[w] = True, own, h, -1
+                            below[w], ahead[w] = z * sight, far
                     ground[p] = (near or rise <= steepest or rise <= abs(sight) * z * z * error)
                     if not ground[p]:
                         is_hidden[w] = True
@@ -287,6 +294,16 @@ def mark_drops(depth_m, labels, ground, lines, ways, ray_x, ray_y, planes, down,
             if not (z >= MIN_DEPTH_M and z < np.inf):
                 continue
             x, y, e, on_plane = ray_x[u], ray_y[v], end_k[w], 0 <= k < planes_count
+            if pending[w] >= 0 and ground[v, u]:
+                j = pending_k[w]
+                s = planes[j, 0] * x + planes[j, 1] * y + planes[j, 2]
+                # On the plane before the drop, or at its level beyond doubt.
+                off = abs(s * z + planes[j, 3]) + abs(s) * z * z * error
+                if k == j or off <= 0.5 * found[pending[w], 3]:
+                    if _is_reflection(depth_m, lines, pending_end[w], i, w, ray_x, ray_y, planes,
+                                      down, j, z, min_drop, error):
+                        found[pending[w], 4] = -1
+                    pending[w] = -1
             if e >= 0 and k < 0 and ground[v, u]:
                 end[w], end_z[w], lower[w] = i, z, 0
                 continue
@@ -328,16 +345,6 @@ def mark_drops(depth_m, labels, ground, lines, ways, ray_x, ray_y, planes, down,
                     end[w], end_k[w], end_z[w], lower[w], mixed[w] = i, k, 0.0, 0, 0
                 elif k < 0 and own == planes_count:  # the own floor is no plane
                     end[w], end_k[w], end_z[w], lower[w], mixed[w] = i, own, z, 0, 0
-                if pending[w] >= 0 and end_k[w] >= 0:
-                    e = pending_k[w]
-                    s = planes[e, 0] * x + planes[e, 1] * y + planes[e, 2]
-                    # On the plane before the drop, or at its level beyond doubt.
-                    off = abs(s * z + planes[e, 3]) + abs(s) * z * z * error
-                    if k == e or off <= 0.5 * found[pending[w], 3]:
-                        if _is_reflection(depth_m, lines, pending_end[w], i, w, ray_x, ray_y,
-                                          planes, down, e, z, min_drop, error):
-                            found[pending[w], 4] = -1
-                        pending[w] = -1
     for w in range(0, ways, 2):
         e = end_k[w]
         if e < 0 or lower[w] > 0 or end[w] == way_end[w] or count == len(found):

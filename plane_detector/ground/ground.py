@@ -20,7 +20,7 @@ from plane_detector.ground.along_ways import (
     mark_ground,
     rows_of,
 )
-from plane_detector.ground.obstacles import height_errors, mark_obstacles
+from plane_detector.ground.obstacles import height_errors, mark_obstacles, without_box
 from plane_detector.ground.ways import Ways, ways_over_ground
 from plane_detector.planes.classification import (
     PlaneClass,
@@ -32,6 +32,7 @@ from plane_detector.types import (
     OBSTACLE_DISTANCES_M,
     CameraIntrinsics,
     GroundPixels,
+    Mounting,
     PlaneSegmentation,
 )
 
@@ -65,6 +66,10 @@ STEP_RANGE_M = 0.5
 SIGMAS = 3.0
 # Drops are told only if an error of depth does not look like one at this distance, metres.
 TOLD_AT_M, LARGEST_ERROR_M = 2.0, 0.3
+# Sources of gravity that state how the camera is mounted. chosen: a height is measured with a tape
+# within so much, and so large a share.
+STATED_BY = ('parameter', 'tf', 'measured')
+TAPE_M, TAPE_SHARE = 0.01, 0.02
 # A row of points along an edge is at least this long.
 MIN_EDGE_M = 0.12
 # chosen: the floor is seen if at least this share of the pixels shows it.
@@ -85,6 +90,7 @@ class Ground:
     # height above the own floor, and angle of the optical axis below the horizon; NaN unknown
     camera_height_m: float = np.nan
     tilt_deg: float = np.nan
+    mounting: Mounting | None = None  # if something of it is stated and a floor is seen
     note: str = ''  # why there are no drops; empty if they are searched for
 
 
@@ -287,6 +293,9 @@ def find_ground(found: PlaneSegmentation, depth_m: np.ndarray, intrinsics: Camer
     # 1. and 2. The direction down and the own floor.
     known_m = config.scale.camera_height if is_metric else 0.0
     depth_m, rays = np.ascontiguousarray(depth_m, np.float32), pixel_rays(intrinsics)
+    if any(limits.ignore_box):
+        depth_m, labels = without_box(depth_m, labels, *rays,
+                                      np.array(limits.ignore_box, np.float32))
     ways = ways_over_ground(intrinsics, gravity.gravity_camera)
     down, own = own_floor(found, labels, ways, gravity, limits.max_slope, known_m)
     rough_m = 0.0
@@ -337,7 +346,31 @@ def find_ground(found: PlaneSegmentation, depth_m: np.ndarray, intrinsics: Camer
     if not doubt and own == len(found.planes):
         doubt = _unseen(depth_m, rays, surfaces, known_m, config.depth.max_depth)
     pixels = replace(pixels, is_ground=joined | lower, own=own, tells_drops=not doubt)
-    return Ground(classes, pixels, height_m, tilt_deg, doubt)
+    return Ground(classes, pixels, height_m, tilt_deg, _mounting(
+        found, labels, ways, gravity, config, own), doubt)
+
+
+def _mounting(found: PlaneSegmentation, labels: np.ndarray, ways: Ways, gravity: Gravity,
+              config: Config, own: int) -> Mounting | None:
+    """Compare what is stated of the camera with the floor that is seen."""
+    stated_m = config.scale.camera_height or np.nan
+    is_stated = gravity.source in STATED_BY
+    if own == len(found.planes) and stated_m > 0:  # not at the stated height: what is met first
+        _, own = own_floor(found, labels, ways, gravity, config.ground.max_slope, 0.0)
+    if own is None or own == len(found.planes) or not (stated_m > 0 or is_stated):
+        return None
+    plane, down = found.planes[own], gravity.gravity_camera
+    variances = np.linalg.eigvalsh(plane.covariance[:3, :3])[-1], plane.covariance[3, 3]
+    tilt_sigma, height_sigma_m = np.sqrt(np.maximum(variances, 0.0))
+    bend_m = found.systematic_noise * plane.offset_m * plane.centroid_m[2]
+    stated_tilt_deg, tilt_deg = np.degrees(np.arcsin(np.clip([down[2], -plane.normal[2]], -1, 1)))
+    angle_deg = np.degrees(np.arccos(np.clip(-plane.normal @ down, -1, 1)))
+    return Mounting(
+        float(stated_m), plane.offset_m, float(SIGMAS * np.hypot(height_sigma_m, bend_m)
+                                               + max(TAPE_M, TAPE_SHARE * plane.offset_m)),
+        *(float(value) if is_stated else np.nan for value in (
+            stated_tilt_deg, tilt_deg, angle_deg,
+            gravity.tolerance_deg + np.degrees(SIGMAS * tilt_sigma))))
 
 
 def _unseen(depth_m: np.ndarray, rays: tuple[np.ndarray, np.ndarray], surfaces: Surfaces,

@@ -5,7 +5,7 @@ Obstacles: what is not ground, without specks and flying pixels.
 
 1. A flying pixel is between a surface and another one behind it, where a sensor averages both: its
    neighbours on opposite sides are nearer and farther by more than on any surface that is seen at
-   more than 10 degrees.
+   more than 10 degrees, and this steep slope is short.
 2. A speck is a patch of a few pixels, as stereo matching leaves them, that floats: neither ground
    nor the plane of an obstacle is beside it at its depth.
 """
@@ -20,8 +20,8 @@ from plane_detector.geometry.disparity import MIN_DEPTH_M
 # After ScanShadowsFilter of ROS's laser_filters: a surface is seen at 10 degrees or more. Depth
 # then changes by at most the inverse tangent of the width of a pixel.
 STEEPEST = 5.67
-# chosen: sensors smear an edge over so many pixels; behind them the farther surface is seen.
-SMEAR_PX = 6
+# chosen: sensors smear an edge over so many pixels to either side; a longer slope is a surface.
+SMEAR_PX = 10
 # chosen: a floating patch of fewer pixels is a speck, as with filters of stereo matching, and so
 # is one of noise on a surface.
 SPECK_PX, NOISE_PX = 64, 6
@@ -36,12 +36,27 @@ def _is_beside(z, other, width, error):
     return abs(z - other) <= max(z, other) * (width + max(z, other) * error)
 
 
-@kernel('boolean(float32, float32, float32, float32, float32, float32)')
-def _is_between(before, z, after, beyond, width, error):
-    """Return whether a pixel is far from both neighbours, one nearer and the other farther."""
-    is_sloping = before < z < after if before < after else after < z < before
-    return (is_sloping and not _is_beside(z, before, width, error)
-            and not _is_beside(z, after, width, error) and beyond >= MIN_DEPTH_M)
+@kernel(f'boolean({_DEPTH}, int64, int64, int64, int64, float32, float32)')
+def _is_flying(depth_m, v, u, dv, du, width, error):
+    """Return whether depth rises at a pixel steeply, over a few pixels, to another surface."""
+    last_v, last_u = depth_m.shape[0] - 1, depth_m.shape[1] - 1
+    if not (dv <= v <= last_v - dv and du <= u <= last_u - du):
+        return False
+    rises, steps = depth_m[v + dv, u + du] > depth_m[v, u], 0
+    for side in range(-1, 2, 2):
+        y, x = v, u
+        while True:
+            z, y, x = depth_m[y, x], y + side * dv, x + side * du
+            other = depth_m[y, x] if 0 <= y <= last_v and 0 <= x <= last_u else z
+            goes_on = other > z if (side > 0) == rises else other < z
+            if not goes_on or _is_beside(z, other, width, error):
+                break
+            steps += 1
+            if steps > 2 * SMEAR_PX:
+                return False
+        if y == v + side * dv and x == u + side * du or not other >= MIN_DEPTH_M:
+            return False  # its neighbour is of the same surface, or no surface is behind it
+    return True
 
 
 @kernel(f'boolean[:, ::1]({_DEPTH}, {_LABELS}, boolean[:, ::1], float64, float64)')
@@ -71,18 +86,10 @@ def mark_obstacles(depth_m, labels, ground, focal_px, error):
             if labels[v, u] >= 0:
                 found[v, u], is_open = True, False
                 continue
-            if 0 < u < width - 1:
-                before, after = depth_m[v, u - 1], depth_m[v, u + 1]
-                far = min(u + SMEAR_PX, width - 1) if after > before else max(u - SMEAR_PX, 0)
-                if _is_between(before, z, after, depth_m[v, far], steepest, error):
-                    is_open = False
-                    continue
-            if 0 < v < height - 1:
-                before, after = depth_m[v - 1, u], depth_m[v + 1, u]
-                far = min(v + SMEAR_PX, height - 1) if after > before else max(v - SMEAR_PX, 0)
-                if _is_between(before, z, after, depth_m[far, u], steepest, error):
-                    is_open = False
-                    continue
+            if (_is_flying(depth_m, v, u, 0, 1, steepest, error)
+                    or _is_flying(depth_m, v, u, 1, 0, steepest, error)):
+                is_open = False
+                continue
             found[v, u] = True
             if not (is_open and _is_beside(z, depth_m[v, u - 1], steepest, error)):
                 if count == most:
@@ -143,3 +150,17 @@ def height_errors(depth_m, ray_x, ray_y, down, sigma):
             z = depth_m[v, u]
             errors[v, u] = abs(a * ray_x[u] + b) * z * z * sigma
     return errors
+
+
+@kernel(f'Tuple((float32[:, ::1], int32[:, ::1]))({_DEPTH}, {_LABELS}, float32[::1], '
+        'float32[::1], float32[::1])')
+def without_box(depth_m, labels, ray_x, ray_y, box):
+    """Return depth and labels without the points in a box: least x y z, largest x y z."""
+    depths, kept = depth_m.copy(), labels.copy()
+    for v in range(depth_m.shape[0]):
+        for u in range(depth_m.shape[1]):
+            z = depth_m[v, u]
+            x, y = ray_x[u] * z, ray_y[v] * z
+            if (box[2] <= z <= box[5] and box[0] <= x <= box[3] and box[1] <= y <= box[4]):
+                depths[v, u], kept[v, u] = np.nan, -1
+    return depths, kept

@@ -8,6 +8,7 @@ A sentence is logged too when it changes, and names the remedy.
 
 from __future__ import annotations
 
+import math
 import re
 import threading
 import time
@@ -36,6 +37,8 @@ _PERIOD_S = 1.0
 LARGE_PX = 2500
 REDUCED_PX = 1280
 """Longer side that is advised for larger images."""
+# By contract: a camera that is not mounted as stated is reported if it lasts.
+_MISPLACED_S = 5.0
 _NUMBER = re.compile(r'-?\d+(\.\d+)?')
 # Smaller differences are those of the clocks.
 _TOLERANCE = 1.1
@@ -154,6 +157,7 @@ class Health:
     def clear(self) -> None:
         """Discard the state of earlier frames: missing inputs are logged again."""
         self._gap = ''
+        self._misplaced_s, self._misplaced = math.nan, ''
         self._told: set[str] = set()
         self._last_told: dict[str, str] = {}
         self._last: Detection | None = None
@@ -163,9 +167,14 @@ class Health:
         """Facts from the last frame: source of the unit, source of gravity."""
         return _facts_of(self._last) if self._last is not None else {}
 
-    def note(self, detection: Detection, wanted: Collection[str]) -> None:
-        """Note the result of a frame; ``wanted`` are the outputs that have subscribers."""
+    def note(self, detection: Detection, wanted: Collection[str], stamp_s: float = 0.0) -> None:
+        """
+        Note the result of a frame.
+
+        ``wanted`` are the outputs that have subscribers, ``stamp_s`` the time of the image.
+        """
         self._last = detection
+        self._note_mounting(detection.mounting.problem if detection.mounting else '', stamp_s)
         if detection.scale_event:
             self._logger.info(detection.scale_event)
         before, self._gap = self._gap, missing_for_classes(detection, wanted)
@@ -174,6 +183,16 @@ class Health:
         elif before and (after := f'after {_NUMBER.sub("", before)}') not in self._told:
             self._told.add(after)
             self._logger.info(f'no longer: {before.partition(":")[0]}')
+
+    def _note_mounting(self, problem: str, stamp_s: float) -> None:
+        """Warn of a camera that is not mounted as stated, if it lasts."""
+        if not problem:
+            self._misplaced_s, self._misplaced = math.nan, ''
+        elif not stamp_s - self._misplaced_s >= 0:  # also the first time
+            self._misplaced_s = stamp_s
+        elif stamp_s - self._misplaced_s >= _MISPLACED_S:
+            self._misplaced = f'{problem}: check scale.camera_height, scale.gravity or base_frame'
+            self.tell_once('misplaced', self._misplaced)
 
     def tell_once(self, key: str, warning: str) -> None:
         """Log a warning whose wording may vary, but only once per key."""
@@ -199,8 +218,8 @@ class Health:
             return DiagnosticStatus.WARN, '; '.join(filter(None, (skipped, silence)))
         if is_idle:
             return DiagnosticStatus.OK, 'idle: nobody listens to an output'
-        if self._gap:
-            return DiagnosticStatus.WARN, self._gap
+        if self._gap or self._misplaced:
+            return DiagnosticStatus.WARN, '; '.join(filter(None, (self._gap, self._misplaced)))
         return DiagnosticStatus.OK, 'active'
 
 
@@ -219,6 +238,13 @@ def _facts_of(detection: Detection) -> dict[str, str]:
         facts['camera_height_m'] = f'{detection.camera_height_m:.3f}'
     if detection.tilt_deg == detection.tilt_deg:
         facts['camera_tilt_deg'] = f'{detection.tilt_deg:.1f}'
+    if (mounting := detection.mounting) is not None:
+        facts['mounting'] = ', '.join(
+            f'{name} {stated:.{digits}f} {unit} stated, {seen:.{digits}f} seen'
+            for name, stated, seen, unit, digits in (
+                ('height', mounting.stated_height_m, mounting.height_m, 'm', 3),
+                ('tilt', mounting.stated_tilt_deg, mounting.tilt_deg, 'degrees', 1))
+            if stated == stated)  # not NaN
     if (smallest_m := detection.ground_pixels.smallest_obstacles_m).size:
         facts['smallest_obstacle_m'] = ', '.join(
             f'{height_m:.3f} at {ahead_m:g} m'

@@ -289,7 +289,8 @@ class FrameFlow:
                     raise ValueError(problem)
                 self._query.answer(found)
                 publish_s = time.perf_counter() - start_s
-                health.note(found.detection, wanted)
+                stamp = found.header.stamp
+                health.note(found.detection, wanted, stamp.sec + 1e-9 * stamp.nanosec)
                 statistics.add_processed({**found.timer.seconds, 'publish': publish_s}, found)
                 requests.finish(frame, True, found)
         except Exception as error:

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the node knows about missing inputs and results, in its log, once, and its diagnostics."""
 
+import math
 import sys
 import time
 from types import SimpleNamespace
@@ -32,7 +33,7 @@ from plane_detector.ros.diagnostics import (
 from plane_detector.ros.frame_worker import ANSWERED_WITHIN_S, MOST_CALLS, FrameRequests
 from plane_detector.ros.inputs.topic_watch import ArrivalCount, explain_silence
 from plane_detector.ros.inputs.transforms import FrameTransforms, TransformBuffer
-from plane_detector.types import GroundPixels
+from plane_detector.types import GroundPixels, Mounting
 
 
 def test_depth_with_other_stamps_is_told_with_the_difference_and_mended_live(robot, room):
@@ -406,7 +407,7 @@ def test_of_many_calls_most_are_answered_at_once():
 
 
 def detection(classes, scale='metric', planes=2, gravity_note='', shape=(480, 640), note='',
-              is_known=None):
+              is_known=None, mounting=None):
     is_known = any(classes) and scale != 'relative' if is_known is None else is_known
     return SimpleNamespace(labels=np.zeros(shape), planes=(None,) * planes, classes=classes,
                            scale_method=scale, scale_note='why', scale_event='',
@@ -414,6 +415,7 @@ def detection(classes, scale='metric', planes=2, gravity_note='', shape=(480, 64
                            gravity_probability=float('nan'),
                            camera_height_m=1.25, tilt_deg=float('nan'), drops_m=(),
                            ground_pixels=GroundPixels(is_known), drop_note=note,
+                           mounting=mounting,
                            disparity_noise=0.002, systematic_noise=0.001)
 
 
@@ -434,6 +436,26 @@ def test_gaps(found, wanted, told):
     gap = missing_for_classes(found, wanted)
     assert told in gap
     assert bool(told) == bool(gap)
+
+
+def test_a_camera_that_is_not_mounted_as_stated_is_reported_if_it_lasts():
+    lines = []
+    health = Health(SimpleNamespace(warning=lines.append, info=lines.append))
+    right, wrong = Mounting(0.6, 0.61, 0.02, *[math.nan] * 4), Mounting(
+        0.6, 0.7, 0.02, 20.0, 23.5, 4.0, 2.5)
+    for stamp_s, mounting in ((0, wrong), (4, wrong), (5, right), (6, wrong), (10.5, wrong)):
+        health.note(detection((1, 3), mounting=mounting), (), stamp_s)
+        assert health.status(Report(3, 0, 0, 1.0), '')[0] == DiagnosticStatus.OK and not lines
+    for stamp_s in (11.0, 12.0):
+        health.note(detection((1, 3), mounting=wrong), (), stamp_s)
+        level, message = health.status(Report(3, 0, 0, 1.0), '')
+        assert level == DiagnosticStatus.WARN
+        assert all(number in message for number in ('0.70 m', '0.60 m', '23.5', '20.0'))
+    assert len(lines) == 1
+    assert health.facts['mounting'] == ('height 0.600 m stated, 0.700 seen, '
+                                        'tilt 20.0 degrees stated, 23.5 seen')
+    health.note(detection((1, 3), mounting=right), (), 13.0)
+    assert health.status(Report(3, 0, 0, 1.0), '')[0] == DiagnosticStatus.OK
 
 
 def test_silent_drops_are_logged_once_though_their_numbers_vary():
