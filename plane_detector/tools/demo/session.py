@@ -8,6 +8,7 @@ import os
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from itertools import count
 from typing import Any
 
 import numpy as np
@@ -35,6 +36,8 @@ _START_S, _FRAME_S = 600.0, 60.0  # the first start compiles and downloads
 _INTRODUCTION_S = 0.3
 _PERIOD_S = 0.3  # at a higher rate, the pause between photographs would count as lost images
 _MEASURED_FRAMES = 10
+# Each has a domain of its own: the node of the one before is still known there for a while.
+_SESSIONS = count()
 
 
 @dataclass(frozen=True)
@@ -64,7 +67,7 @@ class Session:
         # Of other ROS nodes in the network nothing is wanted, and nothing must disturb them.
         os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
         self._context = rclpy.Context()
-        rclpy.init(context=self._context, domain_id=1 + os.getpid() % 100,
+        rclpy.init(context=self._context, domain_id=1 + (os.getpid() + next(_SESSIONS)) % 100,
                    signal_handler_options=SignalHandlerOptions.NO)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._camera = Node('demo', context=self._context)
