@@ -36,8 +36,9 @@ class DepthConfig(Settings, section='depth'):
         'is cached or can be downloaded now')
     output: str = fixed_setting(
         'auto', 'output of the network: metric_depth (metres), disparity (1/metres), '
-        'relative_disparity (unknown scale and shift), auto: as stated in the zoo; required '
-        'for a path', choices=('auto', 'metric_depth', 'disparity', 'relative_disparity'))
+        'relative_disparity (unknown scale and shift), relative_depth (unknown scale), auto: as '
+        'stated in the zoo; required for a path',
+        choices=('auto', 'metric_depth', 'disparity', 'relative_disparity', 'relative_depth'))
     input_width: int = fixed_setting(
         0, 'width of the network input, which the image is stretched to; 0: fixed by the '
         'network or by short_side', 'px', 0, 8192, inner=True)

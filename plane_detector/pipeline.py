@@ -25,7 +25,7 @@ from plane_detector.directions.finder import (
     Surroundings,
 )
 from plane_detector.directions.gravity_choice import NO_GRAVITY
-from plane_detector.geometry.disparity import to_disparity
+from plane_detector.geometry.disparity import UNITLESS, to_disparity
 from plane_detector.geometry.projection import check_depth, check_image
 from plane_detector.ground.ground import find_ground
 from plane_detector.planes.normal_map import turned_by_normals
@@ -323,12 +323,12 @@ def _may_reorient(seen: Observation) -> bool:
 
 def _noise_floor(seen: Observation, config: Config) -> Noise:
     """Return the lower bound of the noise, in the unit of the disparity."""
-    if seen.output != 'relative_disparity' and (
+    if seen.output not in UNITLESS and (
             config.segmentation.disparity_noise or not seen.noise_share):
         return metric_noise_floor(config)
-    if config.segmentation.method == 'paper' and seen.output == 'relative_disparity':
+    if config.segmentation.method == 'paper' and seen.output in UNITLESS:
         raise ValueError('segmentation.method paper needs depth in metres, but the network gives '
-                         'relative_disparity')
+                         f'{seen.output}')
     return unitless_noise_floor(seen.disparity, seen.disparity_noise)
 
 

@@ -92,8 +92,8 @@ class Prediction:
     """
     Output of a depth network for one image.
 
-    Its kind is ``metric_depth``, ``disparity`` (1/metres) or ``relative_disparity`` (unknown scale
-    and shift).
+    Its kind is ``metric_depth``, ``disparity`` (1/metres), ``relative_disparity`` (unknown scale
+    and shift) or ``relative_depth`` (unknown scale).
     """
 
     output: str  # kind of ``values``
@@ -115,8 +115,8 @@ class DepthModel(Protocol):
     Attributes
     ----------
     output : str
-        ``metric_depth`` (metres), ``disparity`` (1/metres) or ``relative_disparity`` (unknown
-        scale and shift).
+        ``metric_depth`` (metres), ``disparity`` (1/metres), ``relative_disparity`` (unknown scale
+        and shift) or ``relative_depth`` (unknown scale).
     noise_share : float
         Typical error of its disparity as a share of the disparities of the image, see
         :func:`~plane_detector.geometry.disparity.noise_reference`; 0: not known.

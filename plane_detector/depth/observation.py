@@ -16,6 +16,8 @@ from plane_detector.depth.far import knowable
 from plane_detector.depth.readers import lens_factor
 from plane_detector.depth.temporal_filter import FilteredDisparity, filter_disparity
 from plane_detector.geometry.disparity import (
+    DEPTHS,
+    UNITLESS,
     limited_depth,
     limited_disparity,
     noise_reference,
@@ -23,6 +25,7 @@ from plane_detector.geometry.disparity import (
     to_disparity,
 )
 from plane_detector.geometry.rectification import Reduction
+from plane_detector.geometry.robust import median
 from plane_detector.stage_timer import StageTimer
 from plane_detector.types import CameraIntrinsics, DepthModel, Prediction
 
@@ -61,14 +64,14 @@ class Observation:
 
     @property
     def output(self) -> str:
-        """Kind of the input: ``metric_depth``, ``disparity`` or ``relative_disparity``."""
+        """Kind of the input, as in :class:`~plane_detector.types.Prediction`."""
         return self.prediction.output
 
     @cached_property
     def disparity(self) -> np.ndarray:
         """Disparity (H, W) float32, affine in 1/z, NaN invalid."""
         values = self.prediction.values
-        return to_disparity(values) if self.output == 'metric_depth' else values
+        return to_disparity(values) if self.output in DEPTHS else values
 
     @cached_property
     def disparity_noise(self) -> float:
@@ -95,7 +98,7 @@ class DepthFunction:
     function : callable
         Takes rgb (H, W, 3) uint8, returns depth or disparity (H, W) floating, NaN invalid.
     output : str
-        Its output: ``metric_depth``, ``disparity`` or ``relative_disparity``.
+        Kind of its output, as in :class:`~plane_detector.types.Prediction`.
     noise_share, focal_per_height
         As in :class:`~plane_detector.types.DepthModel`.
     blur_px : float
@@ -175,9 +178,12 @@ class ModelDepth:
                              f'{(height, width)}: they must be of one size')
         factor = lens_factor(intrinsics, config.scale.reference_focal_px,
                              self.model.focal_per_height)
-        if output != 'relative_disparity' and factor != 1.0:
+        if output == 'relative_depth':
+            # In the median as the unit, so that no depth is below the least or beyond float32.
+            valid = values[np.isfinite(values) & (values > 0)]
+            values = values / np.float32(median(valid) if valid.size else 1.0)
+        if output not in UNITLESS:
             values = values * np.float32(factor if output == 'metric_depth' else 1 / factor)
-        if output != 'relative_disparity':
             limited = limited_depth if output == 'metric_depth' else limited_disparity
             values = limited(values, config.depth.max_depth)
         seen = Observation(rgb, intrinsics, config, replace(prediction, values=values),
@@ -206,7 +212,7 @@ class ModelDepth:
             disparity = cv2.resize(disparity, reduction.new_size,
                                    interpolation=cv2.INTER_NEAREST)
         self._average = filter_disparity(self._average, disparity, rgb, keep,
-                                         same_scale=seen.output != 'relative_disparity')
+                                         same_scale=seen.output not in UNITLESS)
         if self._average.image_count == 1:
             return seen
         values = self._average.disparity
@@ -214,7 +220,7 @@ class ModelDepth:
             change = np.nan_to_num(values - disparity, copy=False)
             values = seen.disparity + cv2.resize(change, (width, height))
         return replace(seen.with_values(
-            to_depth(values) if seen.output == 'metric_depth' else values), is_still=True)
+            to_depth(values) if seen.output in DEPTHS else values), is_still=True)
 
 
 DepthSource = SensorDepth | ModelDepth

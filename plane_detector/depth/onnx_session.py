@@ -16,7 +16,8 @@ from plane_detector.stopping import current_stop, raise_if_stopped
 _NUMBERS = {f'tensor({name})' for name in (
     'float16', 'float', 'double', 'bool', 'int8', 'uint8', 'int16', 'uint16', 'int32', 'uint32',
     'int64', 'uint64')}
-_INPUT_TYPES = {'tensor(float)': np.float32, 'tensor(float16)': np.float16}
+_INPUT_TYPES = {'tensor(float)': np.float32, 'tensor(float16)': np.float16,
+                'tensor(uint8)': np.uint8}
 # In smaller inputs a network cannot recognise anything, nor the checkerboard of the corridor.
 MIN_SIDE_PX = 64
 RUNTIME = f'ONNX Runtime {ort.__version__}'
@@ -71,9 +72,14 @@ class OnnxSession:
 
     def run(self, planes: np.ndarray) -> list[np.ndarray]:
         """Run on (3, H, W) float32, to the end or to a stop; return the required outputs."""
-        tensor = planes[None].astype(_INPUT_TYPES[self._input.type], copy=False)
+        dtype = _INPUT_TYPES[self._input.type]
+        if dtype == np.uint8:  # cubic interpolation overshoots
+            planes = np.clip(np.rint(planes), 0, 255)
+        tensor = planes[None].astype(dtype, copy=False)
         if self._channels_last:
             tensor = np.ascontiguousarray(tensor.transpose(0, 2, 3, 1))
+        if len(self._input.shape) == 5:
+            tensor = tensor[None]
         options = ort.RunOptions()
         options.log_severity_level = 4  # the exception reports errors
         try:
@@ -96,7 +102,13 @@ class OnnxSession:
                   if end.name not in self._network.scalars]
         if len(images) != 1 or images[0].type not in _INPUT_TYPES:
             beside = ' and '.join(['', *self._network.scalars])
-            raise self.misfit(f'it must have one input{beside}, of float32 or float16')
+            raise self.misfit(f'it must have one input{beside}, of float32, float16 '
+                              'or uint8')
+        recipe = self._network.recipe
+        if images[0].type == 'tensor(uint8)' and (
+                recipe.scale, *recipe.mean, *recipe.std) != (1, 0, 0, 0, 1, 1, 1):
+            raise self.misfit('it takes bytes as they are: set depth.input_scale 1, depth.mean '
+                              '[0, 0, 0] and depth.std [1, 1, 1]')
         return images[0]
 
     def _scalar_inputs(self) -> dict[str, np.ndarray]:
@@ -130,12 +142,15 @@ class OnnxSession:
     def _layout(self) -> tuple[bool, tuple[int, int]]:
         """Return whether channels come last, and the fixed width and height, 0 if free."""
         shape = [side if isinstance(side, int) and side > 0 else 0 for side in self._input.shape]
+        if len(shape) == 5 and shape[0] in (0, 1):  # one scene of any number of images
+            shape = shape[1:]
         if len(shape) == 4 and shape[0] in (0, 1):
             if shape[1] != 3 and shape[3] == 3:
                 return True, (shape[2], shape[1])
             if shape[1] in (0, 3):
                 return False, (shape[3], shape[2])
-        raise self.misfit('its input must be one RGB image, [1, 3, H, W] or [1, H, W, 3]')
+        raise self.misfit('its input must be one RGB image, [1, 3, H, W], [1, H, W, 3] or '
+                          '[1, 1, 3, H, W]')
 
     def _check_wanted_size(self) -> None:
         wanted, multiple = self._network.input_size, self._network.side_multiple

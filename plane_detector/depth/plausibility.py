@@ -14,9 +14,10 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from plane_detector.geometry.disparity import DEPTHS
 from plane_detector.types import CameraIntrinsics, Prediction
 
-# Share of negative metres tolerated, because resampling in a network may undershoot.
+# Share of negative depths tolerated, because resampling in a network may undershoot.
 _MOST_NEGATIVE = 0.01
 # derived: fastdepth, the weakest network of the zoo, reaches 0.81 on the corridor; a network that
 # depends only on the colour of a pixel reaches 0.01.
@@ -78,9 +79,9 @@ def check_values(values: np.ndarray, kind: str, rgb: np.ndarray) -> None:
     if high - low <= 1e-6 * high and _sample(rgb).std(axis=(0, 1)).max() > _MIN_CONTRAST:
         raise ImplausibleDepthError(f'its output is {high:g} everywhere')
     negative = np.mean(finite < 0)
-    if kind == 'metric_depth' and negative > _MOST_NEGATIVE:
+    if kind in DEPTHS and negative > _MOST_NEGATIVE:
         raise ImplausibleDepthError(
-            f'{negative:.0%} of its output is negative (down to {low:g}), but metres are not')
+            f'{negative:.0%} of its output is negative (down to {low:g}), but depth is not')
 
 
 def check_kind(prediction: Prediction, depth_m: np.ndarray) -> None:
@@ -89,7 +90,7 @@ def check_kind(prediction: Prediction, depth_m: np.ndarray) -> None:
     seen = np.isfinite(values)
     if seen.mean() < _MIN_SEEN:
         return
-    sign = 1 if prediction.output == 'metric_depth' else -1
+    sign = 1 if prediction.output in DEPTHS else -1
     correlation = sign * _rank_correlation(values[seen], truth[seen])
     if correlation < -_MIN_OPPOSITE_CORRELATION:
         rises, other = (('falls', 'disparity') if sign > 0 else ('rises', 'depth'))

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from plane_detector.geometry.disparity import DEPTHS
 from plane_detector.types import CameraIntrinsics
 
 _SHRINKING = {'cubic': cv2.INTER_CUBIC, 'area': cv2.INTER_AREA, 'linear': cv2.INTER_LINEAR}
@@ -155,12 +156,12 @@ def finish_output(raw: np.ndarray, size: tuple[int, int], output: str) -> np.nda
     """
     Return a network's output (h, w) resized to an image of ``size``, width and height, float32.
 
-    It is NaN where the output is not finite or not positive. Depth (``metric_depth``) is
-    interpolated as disparity, in which planes are linear; otherwise they would bend.
+    It is NaN where the output is not finite or not positive. Depth is interpolated as disparity,
+    in which planes are linear; otherwise they would bend.
     """
     values = np.array(raw, np.float32)
     values[~((values > 0) & (values < np.inf))] = np.nan
-    disparity = 1 / values if output == 'metric_depth' else values
+    disparity = 1 / values if output in DEPTHS else values
     if size != (disparity.shape[1], disparity.shape[0]):
         disparity = cv2.resize(disparity, size, interpolation=cv2.INTER_LINEAR)
-    return 1 / disparity if output == 'metric_depth' else disparity
+    return 1 / disparity if output in DEPTHS else disparity

@@ -38,7 +38,7 @@ class OutputError(ValueError):
 class Outputs:
     """Names of a network's outputs by what they are, empty for what it does not give."""
 
-    kind: str  # ``metric_depth``, ``disparity`` or ``relative_disparity``
+    kind: str  # as in `plane_detector.types.Prediction`
     # One image in the unit of the kind. If no output is named, the only one, or the only one with
     # depth or disp in its name, is the depth.
     depth: str = ''

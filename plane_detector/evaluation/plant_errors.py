@@ -89,7 +89,7 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
         ("' if measured is None", "' if measured is not None", 'wrong source of gravity'),),
     'depth/preprocessing.py': (
         ('float32(mean / std)', 'float32(mean)', 'mean without its deviation'),
-        ("1 / values if output == 'metric_depth' else values",
+        ('1 / values if output in DEPTHS else values',
          'values', 'depth resized as depth, then inverted'),
         ('(self.top * down)', '(self.left * down)', 'borders of the other axis'),
         ('height / height) - 0.5', 'height / height)', 'half a pixel off')),

@@ -22,6 +22,10 @@ _RANGE_QUANTILES = (0.02, 0.5, 0.98)
 # derived: below the values of rooms and streets, 0.5 to 2.7 times their median disparity, so that
 # it only applies if one surface fills the image.
 _MIN_RANGE_OF_LEVEL = 0.25
+DEPTHS = ('metric_depth', 'relative_depth')
+"""Kinds of a prediction that are depth; the others are disparity."""
+UNITLESS = ('relative_disparity', 'relative_depth')
+"""Kinds of a prediction in an unknown unit."""
 _SMALLEST, _LARGEST = (float(value) for value in (np.finfo(np.float32).tiny,
                                                    np.finfo(np.float32).max))
 

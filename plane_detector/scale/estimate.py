@@ -25,7 +25,7 @@ class ScaleEstimate:
     shift: float
     method: str  # metric, depth_topic, camera_height, manhattan, fixed or relative
     is_metric: bool  # not for relative, nor for manhattan without a height
-    has_true_angles: bool  # between planes; not for relative
+    has_true_angles: bool  # between planes; for relative only if the network's depth has no shift
     # Standard deviation of depth due to scale and shift, as a share of depth, at the disparity
     # quantile of the farthest 10 % of the image; NaN if unknown.
     uncertainty: float

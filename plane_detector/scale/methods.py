@@ -19,6 +19,7 @@ from functools import cached_property
 import numpy as np
 
 from plane_detector.config import ScaleConfig
+from plane_detector.geometry.disparity import UNITLESS
 from plane_detector.geometry.gravity import unit_direction
 from plane_detector.geometry.robust import quantiles
 from plane_detector.scale.disparity_planes import DisparityPlanes
@@ -46,7 +47,7 @@ class ScaleEvidence:
 
     disparity: np.ndarray  # (H, W) floating: affine in 1/z; not finite where invalid
     find_planes: Callable[[], DisparityPlanes]  # of it; called when needed, at most once
-    output: str = 'relative_disparity'  # of the network, or metric_depth or disparity
+    output: str = 'relative_disparity'  # kind, as in `plane_detector.types.Prediction`
     is_measured: bool = False  # by a sensor, in 1/metres
     # (3,) in the optical frame, of any length; None or 0: unknown.
     gravity_camera: np.ndarray | None = None
@@ -78,7 +79,9 @@ class ScaleEvidence:
 
     @cached_property
     def shift(self) -> ShiftEstimate:
-        """Shift from the planes and gravity, or from the planes alone."""
+        """Shift from the planes and gravity, or from the planes alone; depth has none."""
+        if self.output == 'relative_depth':
+            return ShiftEstimate(0.0, 0.0, np.nan, 'depth of the network')
         if self.knows_gravity_well:
             down, tolerance_deg, axes = self.down, self.down_tolerance_deg, self.level_axes
         elif self.own_axes.refusal:
@@ -150,10 +153,15 @@ def _methods(config: ScaleConfig) -> tuple[str, ...]:
 
 
 def _relative(evidence: ScaleEvidence, note: str) -> ScaleEstimate:
-    """Return the scale 1, with the smallest shift that makes the disparity positive."""
+    """
+    Return the scale 1, with the smallest shift that makes the disparity positive.
+
+    Depth up to scale has no shift, and true angles.
+    """
     tau = max(0.0, -1.01 * evidence.lowest)
     scale = _unit_scale(evidence, tau)
-    return ScaleEstimate(scale, scale * tau, RELATIVE, False, False, np.nan, note, evidence.span)
+    return ScaleEstimate(scale, scale * tau, RELATIVE, False,
+                         evidence.output == 'relative_depth', np.nan, note, evidence.span)
 
 
 def _unitless(evidence: ScaleEvidence, found: ShiftEstimate, note: str) -> ScaleEstimate:
@@ -170,7 +178,7 @@ def _unit_scale(evidence: ScaleEvidence, tau: float) -> float:
 
 
 def _metric(evidence: ScaleEvidence, _config: ScaleConfig) -> ScaleEstimate | str:
-    if evidence.output == 'relative_disparity':
+    if evidence.output in UNITLESS:
         return 'the network does not give metres'
     note = 'measured depth' if evidence.is_measured else 'metres of the network'
     return ScaleEstimate(1.0, 0.0, 'metric', True, True, np.nan, note, (np.nan,) * 3)
@@ -179,7 +187,8 @@ def _metric(evidence: ScaleEvidence, _config: ScaleConfig) -> ScaleEstimate | st
 def _depth_topic(evidence: ScaleEvidence, _config: ScaleConfig) -> ScaleEstimate | str:
     if evidence.sensor_depth_m is None:
         return 'no measured depth'
-    fit = fit_measured_depth(evidence.disparity, evidence.sensor_depth_m)
+    fit = fit_measured_depth(evidence.disparity, evidence.sensor_depth_m,
+                             has_shift=evidence.output != 'relative_depth')
     if fit.refusal:
         return fit.refusal
     estimate = ScaleEstimate(fit.scale, fit.shift, 'depth_topic', True, True, np.nan,
@@ -228,6 +237,8 @@ def _manhattan(evidence: ScaleEvidence, config: ScaleConfig) -> ScaleEstimate | 
         if not isinstance(metric, str):
             return replace(metric, method='manhattan')
         reason = f'; {metric}'
+    if evidence.output == 'relative_depth':
+        return f'the angles of the network are used{reason}'
     source = ('planes and the vertical' if evidence.knows_gravity_well
               else 'right angles between the planes')
     return _unitless(evidence, found, f'{source}: {found.note}{reason}')

@@ -41,7 +41,8 @@ class DepthFit:
     refusal: str  # why there is no result; empty if there is one
 
 
-def fit_measured_depth(disparity: np.ndarray, sensor_depth_m: np.ndarray) -> DepthFit:
+def fit_measured_depth(disparity: np.ndarray, sensor_depth_m: np.ndarray, *,
+                       has_shift: bool = True) -> DepthFit:
     """
     Fit scale and shift to measured depth, robustly.
 
@@ -51,6 +52,8 @@ def fit_measured_depth(disparity: np.ndarray, sensor_depth_m: np.ndarray) -> Dep
         Of unknown scale and shift; not finite where invalid.
     sensor_depth_m : (H, W) floating
         Metres; not finite or not positive where not measured.
+    has_shift : bool
+        False: the shift is known to be 0.
 
     Returns
     -------
@@ -65,10 +68,12 @@ def fit_measured_depth(disparity: np.ndarray, sensor_depth_m: np.ndarray) -> Dep
     index = index[::-(-len(index) // MAX_POINTS)]
     inverse_m = 1.0 / sensor_depth_m.ravel()[index].astype(np.float64)
     values = disparity.ravel()[index].astype(np.float64)
-    alpha, beta = _median_line(inverse_m, values)
+    alpha, beta = (_median_line(inverse_m, values) if has_shift
+                   else (float(np.median(values / inverse_m)), 0.0))
     for _ in range(ITERATIONS):
         weights, sigma = _tukey(values - alpha * inverse_m - beta)
-        alpha, beta, covariance = _weighted_line(inverse_m, values, weights, sigma)
+        alpha, beta, covariance = _weighted_line(inverse_m, values, weights, sigma,
+                                                 has_shift)
     agree = weights > 0.1
     covariance = covariance * max(agree.sum() / INDEPENDENT_POINTS, 1.0)
     if agree.sum() < max(MIN_POINTS, 0.5 * len(index)):
@@ -106,13 +111,13 @@ def _tukey(residual: np.ndarray) -> tuple[np.ndarray, float]:
 
 
 def _weighted_line(x: np.ndarray, y: np.ndarray, weights: np.ndarray,
-                   sigma: float) -> tuple[float, float, np.ndarray]:
-    """Return slope, intercept and their covariance by weighted least squares about the mean."""
+                   sigma: float, has_shift: bool) -> tuple[float, float, np.ndarray]:
+    """Return slope, intercept and their covariance by weighted least squares."""
     total = weights.sum()
-    mean_x, mean_y = weights @ x / total, weights @ y / total
+    mean_x, mean_y = (weights @ x / total, weights @ y / total) if has_shift else (0.0, 0.0)
     # Points at one depth have no spread: the variance becomes large, and the fit is refused.
     spread = max(weights @ (x - mean_x) ** 2, MIN_SPREAD)
     alpha = weights @ ((x - mean_x) * (y - mean_y)) / spread
     of_alpha = np.outer([1.0, -mean_x], [1.0, -mean_x]) / spread
-    covariance = sigma**2 * (of_alpha + np.diag([0.0, 1.0 / total]))
+    covariance = sigma**2 * (of_alpha + np.diag([0.0, has_shift / total]))
     return float(alpha), float(mean_y - alpha * mean_x), covariance

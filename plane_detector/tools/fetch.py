@@ -21,7 +21,8 @@ _HEADER = ('network', 'size', 'licence', 'here', 'gives')
 def table(networks: Sequence[Network], cache_dir: str) -> str:
     """Return a table of networks, one per line; ``here``: whether the file is in the cache."""
     rows = [_HEADER, *(
-        (network.name, f'{network.size_bytes / 1e6:.0f} MB' if network.size_bytes else 'not known',
+        (network.name,
+         f'{network.download_bytes / 1e6:.0f} MB' if network.size_bytes else 'not known',
          network.licence,
          'yes' if cached_path(network, cache_dir).is_file() else '', network.summary)
         for network in networks)]

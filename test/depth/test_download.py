@@ -29,6 +29,7 @@ from plane_detector.depth.networks import (
     default_cache_dir,
     resolve,
 )
+from plane_detector.geometry.disparity import DEPTHS, UNITLESS
 from plane_detector.stopping import Background, Stopped
 from plane_detector.tools.fetch import main
 
@@ -254,8 +255,9 @@ def test_the_cache_folder_follows_the_xdg_specification(monkeypatch, tmp_path):
 def test_the_zoo_is_consistent():
     for name, network in NETWORKS.items():
         assert network.name == name
-        assert len(bytes.fromhex(network.sha256)) == 32
-        assert network.output in ('metric_depth', 'disparity', 'relative_disparity')
+        for file in (network, *network.weights):
+            assert len(bytes.fromhex(file.sha256)) == 32
+        assert network.output in ('disparity', *DEPTHS, *UNITLESS)
         assert network.short_side % network.side_multiple == 0
     # Unless they are asked for by name, only weights that anybody may use for anything.
     assert {NETWORKS[name].licence for name in AUTO_ORDER} <= {'Apache-2.0', 'MIT'}

@@ -113,7 +113,8 @@ def identity(path, shape, element=FLOAT, extra_input=False):
 
 @pytest.mark.parametrize(('shape', 'changes', 'said'), [
     ([1, 3, 8, 8], {'extra_input': True}, 'must have one input'),
-    ([1, 3, 8, 8], {'element': onnx.TensorProto.UINT8}, 'must have one input, of float32'),
+    ([1, 3, 8, 8], {'element': onnx.TensorProto.INT8}, 'must have one input, of float32'),
+    ([1, 3, 8, 8], {'element': onnx.TensorProto.UINT8}, 'takes bytes as they are'),
     ([1, 1, 8, 8], {}, 'must be one RGB image'),
     ([2, 3, 8, 8], {}, 'must be one RGB image'),
     ([3, 8, 8], {}, 'must be one RGB image'),

@@ -14,7 +14,13 @@ import hashlib
 from pathlib import Path
 
 import numpy as np
-from onnx_models import constant, millimetres_as_rgb, onnx_package, write_network
+from onnx_models import (
+    METRES_OF_RGB,
+    constant,
+    millimetres_as_rgb,
+    onnx_package,
+    write_network,
+)
 
 from plane_detector.depth.networks import NETWORKS
 
@@ -123,3 +129,41 @@ def _constants(full: float, facing: int) -> list:
     integers = {'zero': 0, 'two': 2, 'three': 3, 'channel_axis': 1}
     return [*(constant(name, value) for name, value in floats.items()),
             *(constant(name, [value], np.int64) for name, value in integers.items())]
+
+
+def write_scene_network(path: Path, mean: tuple[float, ...], std: tuple[float, ...]) -> Path:
+    """
+    Write a network with the interface of Depth Anything 3: any images of a scene, two files.
+
+    Its depth is in 4 times the unit of the metre; the weights are in ``model.onnx_data``.
+    """
+    onnx, make = onnx_package(), onnx_package().helper.make_node
+    weights = 4 * np.array(METRES_OF_RGB)
+    nodes = [make('Mul', ['pixel_values', 'kernel'], ['weighted']),
+             make('ReduceSum', ['weighted', 'channel_axis'], ['mixed'], keepdims=0),
+             make('Add', ['mixed', 'bias'], ['predicted_depth']),
+             make('Sub', ['mixed', 'mixed'], ['confidence'])]
+    scene = ['batch', 'images', 'height', 'width']
+    write_network(path, nodes,
+                  [('pixel_values', onnx.TensorProto.FLOAT, [*scene[:2], 3, *scene[2:]])],
+                  [(name, onnx.TensorProto.FLOAT, scene)
+                   for name in ('predicted_depth', 'confidence')],
+                  [constant('kernel', np.reshape(weights * std, (1, 1, 3, 1, 1))),
+                   constant('bias', weights @ mean), constant('channel_axis', [2], np.int64)])
+    # By the size of the Python object, which is 33 bytes more: the kernel, but not the axis.
+    onnx.save(onnx.load(str(path)), str(path), save_as_external_data=True, size_threshold=44,
+              location=path.name + '_data')
+    return path
+
+
+def write_bytes_network(path: Path, width: int, height: int) -> Path:
+    """Write a network that takes bytes and gives depth in 4 times the unit of the metre."""
+    proto, make = onnx_package().TensorProto, onnx_package().helper.make_node
+    nodes = [make('Cast', ['image'], ['colours'], to=proto.FLOAT),
+             make('MatMul', ['colours', 'kernel'], ['mixed']),
+             make('Squeeze', ['mixed', 'last_axis'], ['depth'])]
+    return write_network(
+        path, nodes, [('image', proto.UINT8, [1, height, width, 3])],
+        [('depth', proto.FLOAT, [1, height, width])],
+        [constant('kernel', np.reshape(4 * np.array(METRES_OF_RGB) / 255, (3, 1))),
+         constant('last_axis', [3], np.int64)])

@@ -37,6 +37,7 @@ from plane_detector.evaluation.metrics import (
 )
 from plane_detector.evaluation.peers import OpenCv, Ours, Paper, PlainRansac, Segments, plane_array
 from plane_detector.evaluation.reference_planes import annotated_planes, plane_depth
+from plane_detector.geometry.disparity import UNITLESS
 from plane_detector.pipeline import PlaneDetector
 from plane_detector.types import CameraIntrinsics
 
@@ -199,7 +200,7 @@ def opened(path: Path) -> NyuDepth:
 @lru_cache(maxsize=1)
 def _detector(model: str) -> PlaneDetector:
     estimate = DepthEstimator(DepthConfig(model=model))
-    method = 'depth_topic' if estimate.output == 'relative_disparity' else 'metric'
+    method = 'depth_topic' if estimate.output in UNITLESS else 'metric'
     return PlaneDetector(Config(scale=ScaleConfig(method=method),
                                 tracking=TrackingConfig(enabled=False)), estimate)
 

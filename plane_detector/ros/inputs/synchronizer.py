@@ -18,6 +18,7 @@ import numpy as np
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, Imu, PointCloud2
 
 from plane_detector.config import Config
+from plane_detector.geometry.disparity import UNITLESS
 from plane_detector.geometry.gravity import gravity_from_acceleration, smooth_gravity
 from plane_detector.ros.calibration import image_size
 
@@ -46,14 +47,13 @@ def depth_use(config: Config, output: str) -> str:
     """
     Return whether measured depth beside an image is ``required``, ``optional`` or ``unused``.
 
-    Of the outputs of networks only relative disparity uses the unit of measured depth.
+    Of the outputs of networks only those of unknown scale use the unit of measured depth.
     """
     if config.depth.is_measured:
         return 'required' if config.depth.colour == 'image' else 'unused'
     if config.scale.method == 'depth_topic':
         return 'optional'
-    relative = output == 'relative_disparity'
-    return 'optional' if relative and config.scale.method == 'auto' else 'unused'
+    return 'optional' if output in UNITLESS and config.scale.method == 'auto' else 'unused'
 
 
 class FrameSynchronizer:
