@@ -84,9 +84,11 @@ def test_a_helper_runs_nothing_out_of_the_working_directory(sample, tmp_path):
     """Neither as this package nor as one of Python."""
     planted = tmp_path / 'planted'
     planted.mkdir()
-    for name in ('plane_detector', 'numba', 'hashlib', 'multiprocessing'):
+    for name in ('plane_detector', 'numba', 'hashlib', 'sitecustomize'):
         (planted / f'{name}.py').write_text(f'open({str(tmp_path / "ran")!r}, "w")')
-    before = f'import os; os.chdir({str(planted)!r}); sys.path = [p for p in sys.path if p]'
+    # An empty entry, which setup files leave behind, is the working directory.
+    before = (f'import os; os.chdir({str(planted)!r}); os.environ["PYTHONPATH"] += os.pathsep; '
+              'sys.path = [p for p in sys.path if p]')
     assert sample(0, '+', before=before)[-1] == '11.0'
     assert not (tmp_path / 'ran').exists()
 
