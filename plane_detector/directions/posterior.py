@@ -183,14 +183,16 @@ def log_odds_down(disparity: np.ndarray) -> float:
 
     The disparity (H, W) is affine in 1/z, not finite where invalid.
     """
-    thinned = np.where(np.isfinite(disparity), disparity, np.nan)[::8, ::8]
-    parts = (thinned, thinned[:len(thinned) // 4], thinned[-(len(thinned) // 4):])
-    if not all(np.isfinite(part).any() for part in parts):
+    thinned = disparity[::8, ::8]
+    quarter = len(thinned) // 4
+    every, top, bottom = (np.sort(part[np.isfinite(part)]) for part in (
+        thinned, thinned[:quarter], thinned[len(thinned) - quarter:]))
+    if not len(top) or not len(bottom):
         return 0.0
-    low, high = np.nanquantile(thinned, (0.1, 0.9))
+    low, high = every[len(every) // 10], every[len(every) - 1 - len(every) // 10]
     if not high > low:
         return 0.0
-    trend = np.clip((np.nanmedian(parts[2]) - np.nanmedian(parts[1])) / (high - low), -1, 1)
+    trend = np.clip((bottom[len(bottom) // 2] - top[len(top) // 2]) / (high - low), -1, 1)
     normal = math.exp(-0.5 * ((trend - UPRIGHT_TREND) / TREND_SPREAD) ** 2) / (
         math.sqrt(2 * math.pi) * TREND_SPREAD)
     return -math.log(2 * (1 - ANY_TREND) * normal + ANY_TREND)

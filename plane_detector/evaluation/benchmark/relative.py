@@ -49,7 +49,7 @@ CORRELATION_SHARE, GRAIN_SHARE, BLUR_SHARE = 1 / 7, 0.002, 1 / 320
 MIN_PLANE_SHARE, PURE = 0.02, 0.85
 WRONG_DEG = 10.0
 REAL = ('kinect', 'nyu')
-DRAWS_PER_IMAGE = 4
+DRAWS_PER_IMAGE = 2
 RAW, NOISE_SHARE = 'network_outputs', NETWORKS['depth_anything_v2_small'].noise_share
 
 
@@ -94,19 +94,19 @@ def angles(view: View, estimate: ScaleEstimate) -> Angles | None:
         planes.pixel_share * np.mean(view.regions.labels >= 0) >= MIN_PLANE_SHARE))
     index = np.full(len(view.regions.coefficients) + 1, -1)
     index[planes.labels] = np.arange(len(planes))
-    at = {name: planes.scaled(*numbers) for name, numbers in (
-        ('estimate', (estimate.scale, estimate.shift)),
-        ('truth', (view.true_scale.disparity_scale, view.true_scale.disparity_shift)))}
-    errors_deg = []
-    for coefficients in at.values():
+    truth = view.true_scale
+    at = (planes.scaled(estimate.scale, estimate.shift),
+          planes.scaled(truth.disparity_scale, truth.disparity_shift))
+    errors_deg, normals = [], []
+    for coefficients in at:
         length = np.linalg.norm(coefficients, axis=1)[:, None]
-        judged = judge_planes(index[view.regions.labels], np.hstack(
-            [-coefficients, np.ones_like(length)]) / length, view.true_depth_m, view.intrinsics,
-            np.random.default_rng(0))
+        normals.append(-coefficients / length)
+        judged = judge_planes(index[view.regions.labels], np.hstack([normals[-1], 1 / length]),
+                              view.true_depth_m, view.intrinsics, np.random.default_rng(0))
         errors_deg.append([one.normal_error_deg for one in judged if one.purity > PURE])
     if not errors_deg[0]:
         return None
-    turned_deg = angle_deg(*at.values())
+    turned_deg = angle_deg(*normals)
     return Angles(*map(float, (
         np.mean(errors_deg[0]), np.mean(errors_deg[1]),
         np.sqrt(np.average(turned_deg**2, weights=planes.pixel_share)),
@@ -179,7 +179,7 @@ def report_raw(data: Path) -> None:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    add_shared(parser, '--rooms', '--first-seed', '--data', rooms=16)
+    add_shared(parser, '--rooms', '--first-seed', '--data', rooms=10)
 
 
 def run(options: argparse.Namespace) -> None:

@@ -69,8 +69,9 @@ class View:
     @cached_property
     def around(self) -> Surroundings:
         """Gravity and horizontal axes from the lines of the image, if any."""
-        return DirectionFinder().find(CameraImage(self.rgb, self.intrinsics), None, Config(),
-                                      for_planes=True)
+        return DirectionFinder().find(
+            CameraImage(self.rgb, self.intrinsics, None, self.disparity, has_shift=True), None,
+            Config(), for_planes=True)
 
     def estimate(self, config: ScaleConfig, **known: object) -> ScaleEstimate:
         """Return the scale from the planes and other knowledge, see :class:`ScaleEvidence`."""

@@ -1,0 +1,30 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""Tests of the benchmark of relative disparity."""
+
+import numpy as np
+import pytest
+
+from plane_detector.config import ScaleConfig
+from plane_detector.evaluation.benchmark.relative import angles, network_view, with_network_errors
+from plane_detector.evaluation.scenes.rooms import random_room
+
+
+def test_the_errors_have_the_stated_size():
+    exact = np.full((240, 320), 0.5)
+    exact[:20] = np.nan
+    found = with_network_errors(exact, 0.03, np.random.default_rng(0))
+    assert np.isnan(found[:20]).all()
+    assert np.nanstd(found / exact) == pytest.approx(0.03, rel=0.2)
+
+
+def test_errors_by_the_shift_are_told_from_those_of_the_network():
+    view = network_view(random_room(np.random.default_rng(3)), 0.015, np.random.default_rng(3))
+    true = view.estimate(view.true_scale)
+    found = angles(view, true)
+    assert found.by_shift_deg == pytest.approx(0, abs=1e-6)
+    assert found.normal_deg == found.at_true_shift_deg > 0.3
+    shifted = ScaleConfig(method='fixed', disparity_scale=true.scale,
+                          disparity_shift=true.shift + 0.2)
+    bent = angles(view, view.estimate(shifted))
+    assert bent.by_shift_deg > 5 and bent.at_true_shift_deg == found.at_true_shift_deg
