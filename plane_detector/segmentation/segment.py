@@ -10,6 +10,8 @@ change which pixels form a plane.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from plane_detector.config import Config
@@ -20,7 +22,7 @@ from plane_detector.segmentation.cells.labels import rename_labels
 from plane_detector.segmentation.cells.model import Frame, PlaneRegions
 from plane_detector.segmentation.cells.noise import DepthKind, Noise, with_quantisation
 from plane_detector.segmentation.cells.noise_correlation import Correlation
-from plane_detector.segmentation.cells.normal_slopes import NormalMap, with_normals
+from plane_detector.segmentation.cells.normal_slopes import NormalMap, slopes_of
 from plane_detector.segmentation.cells.pixel_regions import NO_PATCHES, PixelRegions
 from plane_detector.segmentation.fine_pass import MIN_CELL_SHARE, add_small_planes
 from plane_detector.segmentation.pixels.edge_snapping import (
@@ -118,7 +120,7 @@ def segment(disparity: np.ndarray, noise_floor: Noise, config: Config,
     image = DisparityImage(*zero_filled(disparity))
     grid = build_cell_grid(image, lens=lens)
     if normals is not None:
-        grid = with_normals(grid, normals, noise_floor.source_sigma)
+        grid = replace(grid, normal_slope=slopes_of(grid, normals))
     min_pixels = MIN_CELL_SHARE * config.segmentation.min_plane_share * image.values.size
     noise_floor = with_quantisation(noise_floor, image)
     frame, regions = search_planes(Frame(image, grid, noise_floor, min_pixels, config, rng))

@@ -4,31 +4,24 @@
 Slopes of the disparity from the normals that a network gives in addition to depth.
 
 With the ray (X, Y, 1) of a pixel, the plane n . p + d = 0 is 1/z = -(n_x X + n_y Y + n_z) / d: its
-slopes are 1/z times n_x / (n . r) and n_y / (n . r). Each cell has two slopes, that of its depth
-and that of its normals. Their noise is estimated from the differences between neighbouring cells,
-and the two are averaged, weighted by their variances. Errors common to neighbours do not show in
-these differences: the remaining difference between the two, in most of the image, is attributed
-to the normals.
+slopes are 1/z times n_x / (n . r) and n_y / (n . r). Regions whose slopes by their normals differ
+are not merged. The search uses the slopes of the depth alone: averaged with those of real normals
+it found worse planes more often than better ones.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from plane_detector.segmentation.cells.grid import CellGrid
-from plane_detector.segmentation.cells.model import MIN_VARIANCE
 from plane_detector.types import CameraIntrinsics, Prediction
 
 # derived: the best published normals have a mean error of 10 degrees, most of which is common to
 # neighbours. Normals are not assumed more accurate than this. A plane seen at a smaller angle may
 # as well face away, so that its normal says nothing.
 MIN_NORMAL_ERROR_DEG = 2.0
-# Lower bound of the noise of the depth's slopes, per image width and unit of source noise.
-# tuned: rooms of seeds 302, 303, 309, 310, normals with smooth errors of 5 and 10 degrees: mean SC
-# as without normals at 2, up to .1 less at 8.
-DEPTH_SLOPE_PER_NOISE = 2.0
 
 
 @dataclass(frozen=True)
@@ -47,38 +40,6 @@ class NormalMap:
         if prediction.normals_camera is None or prediction.output == 'relative_disparity':
             return None
         return cls(prediction.normals_camera, prediction.normal_confidence, intrinsics)
-
-
-def with_normals(grid: CellGrid, normals: NormalMap, source_sigma: float) -> CellGrid:
-    """
-    Return the grid with slopes averaged with those of the normals.
-
-    Parameters
-    ----------
-    grid : CellGrid
-        Of 1/z in any unit, without a shift.
-    normals : NormalMap
-        Of the same image.
-    source_sigma : float
-        Noise stated for the source of the depth, in the unit of the disparity.
-
-    Returns
-    -------
-    CellGrid
-        With a new ``slope``, and with ``normal_slope``.
-
-    """
-    slope = slopes_of(grid, normals)
-    is_usable = grid.usable & np.isfinite(slope).all(axis=1)
-    measured = _neighbour_variance(grid, grid.slope, grid.usable)
-    of_depth = max(measured, (DEPTH_SLOPE_PER_NOISE * source_sigma) ** 2)
-    min_slope = (np.radians(MIN_NORMAL_ERROR_DEG) * grid.mean[:, 2] * grid.width_px
-                 / normals.intrinsics.fx)
-    of_normals = np.maximum(_neighbour_variance(grid, slope, is_usable) + min_slope**2,
-                            _variance((slope - grid.slope)[is_usable]) - measured)
-    share = np.where(is_usable, of_depth / np.maximum(of_depth + of_normals, MIN_VARIANCE), 0)
-    fused = (1 - share)[:, None] * grid.slope + share[:, None] * np.nan_to_num(slope)
-    return replace(grid, slope=fused, normal_slope=slope)
 
 
 def slopes_of(grid: CellGrid, normals: NormalMap) -> np.ndarray:
@@ -105,19 +66,3 @@ def _cell_means(normals: NormalMap, grid: CellGrid) -> np.ndarray:
     sums = sums.reshape(-1, 3)
     with np.errstate(invalid='ignore'):
         return sums / np.linalg.norm(sums, axis=1, keepdims=True)
-
-
-def _neighbour_variance(grid: CellGrid, slope: np.ndarray, is_usable: np.ndarray) -> float:
-    """Return the variance of each component of slopes by the differences of neighbours."""
-    slope, is_usable = slope.reshape(*grid.shape, 2), is_usable.reshape(grid.shape)
-    return _variance(np.concatenate([
-        (slope[far] - slope[near])[is_usable[near] & is_usable[far]]
-        for near, far in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:]))])) / 2
-
-
-def _variance(vectors: np.ndarray) -> float:
-    """Return the variance of each component of vectors (n, 2) by the median square; 0 if none."""
-    if not len(vectors):
-        return 0.0
-    # The median of chi-squared with 2 degrees of freedom is 2 log 2.
-    return float(np.median((vectors**2).sum(axis=1)) / (2 * np.log(2)))

@@ -10,6 +10,9 @@ import pytest
 from cell_helpers import EXACT, cell_model, fold, hand_made, noisy, view, wall
 
 from plane_detector import CameraIntrinsics, Config, segment_planes
+from plane_detector.config import RansacConfig
+from plane_detector.evaluation.datasets import labelled_frames
+from plane_detector.evaluation.metrics import labelled_score
 from plane_detector.evaluation.scenes.rendering import VGA
 from plane_detector.segmentation.cells.model import PlaneRegions
 from plane_detector.segmentation.cells.noise_correlation import Correlation
@@ -204,3 +207,15 @@ def test_a_wall_that_a_network_bows_is_one_plane(angles_deg, height):
     found = segment_planes(depth_m.astype(np.float32), VGA, disparity_noise=0.008)
     assert len(found.planes) == 1
     assert (found.labels == 0).mean() > 0.97
+
+
+def test_pieces_of_two_planes_behind_an_object_stay_two(data_folder):
+    # Four degrees apart. As one plane, the frame has SC .91 to .92.
+    frame = next((one for one in labelled_frames(data_folder) if one.name == 'nyu0524'), None)
+    if frame is None:
+        pytest.skip('no frame nyu0524')
+    known = (frame.labels >= 0) & np.isfinite(frame.depth_m)
+    for seed in range(3):
+        config = replace(Config(), ransac=RansacConfig(seed=seed))
+        labels = segment_planes(frame.depth_m, frame.intrinsics, config).labels
+        assert labelled_score(np.maximum(frame.labels, -1), labels, known)['SC'] > 0.93
