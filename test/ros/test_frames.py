@@ -159,6 +159,17 @@ def test_lines_are_sought_when_the_camera_has_turned(sought):
     assert len(sought) >= 9
 
 
+def test_lines_beside_a_network_are_held_for_a_tenth_of_a_second_only(sought):
+    """Its planes do not tell whether the camera turns."""
+    rng = np.random.default_rng(0)
+    rgb = rng.integers(0, 255, ROOM.rgb.shape, np.uint8)
+    detector = PlaneDetector(Config(), lambda _: (
+        ROOM.depth_m + rng.normal(0, 0.004, ROOM.depth_m.shape)).astype(np.float32))
+    for stamp_s in np.arange(1.0, 1.6, 0.06):
+        detector.detect(rgb, ROOM.intrinsics, stamp_s=stamp_s)
+    assert 5 <= len(sought) <= 7, 'of ten images'
+
+
 @pytest.mark.parametrize('wanted, is_sought', [(('planes', 'points'), False), (('ground',), True),
                                                (('points_without_floor',), True)])
 def test_pixels_of_the_ground_are_sought_for_their_readers(monkeypatch, wanted, is_sought):
