@@ -70,3 +70,12 @@ def test_a_label_that_was_missing_before_is_not_merged_now(halves):
     right = segmented(np.where(halves.labels == 1, 0, -1).astype(np.int32), wall(x_m=0.3))
     whole = segmented(np.zeros((60, 100), np.int32), wall())
     assert merged(halves, right, whole) == ([2], [0])
+
+
+def test_a_plane_that_comes_back_merges_nothing(halves):
+    """The left half is new in the image in which the well-known right one is missed."""
+    labels = halves.labels
+    right = segmented(np.where(labels == 1, 0, -1).astype(np.int32), wall(x_m=0.3))
+    left = segmented(np.where(labels == 0, 0, -1).astype(np.int32), wall(x_m=-0.5))
+    whole = segmented(np.zeros((60, 100), np.int32), wall())
+    assert merged(*[right] * 9, left, whole) == ([1], [0])
