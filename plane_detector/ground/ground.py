@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -70,6 +70,8 @@ TOLD_AT_M, LARGEST_ERROR_M = 2.0, 0.3
 # within so much, and so large a share.
 STATED_BY = ('parameter', 'tf', 'measured')
 TAPE_M, TAPE_SHARE = 0.01, 0.02
+# chosen: ways may be half a degree off, and are kept while the camera turns by less.
+WAY_STEP = 0.01
 # A row of points along an edge is at least this long.
 MIN_EDGE_M = 0.12
 # chosen: the floor is seen if at least this share of the pixels shows it.
@@ -296,7 +298,7 @@ def find_ground(found: PlaneSegmentation, depth_m: np.ndarray, intrinsics: Camer
     if any(limits.ignore_box):
         depth_m, labels = without_box(depth_m, labels, *rays,
                                       np.array(limits.ignore_box, np.float32))
-    ways = ways_over_ground(intrinsics, gravity.gravity_camera)
+    ways = _ways(intrinsics, *np.round(gravity.gravity_camera / WAY_STEP).tolist())
     down, own = own_floor(found, labels, ways, gravity, limits.max_slope, known_m)
     rough_m = 0.0
     if gravity.is_sure and is_metric and not known_m:
@@ -348,6 +350,13 @@ def find_ground(found: PlaneSegmentation, depth_m: np.ndarray, intrinsics: Camer
     pixels = replace(pixels, is_ground=joined | lower, own=own, tells_drops=not doubt)
     return Ground(classes, pixels, height_m, tilt_deg, _mounting(
         found, labels, ways, gravity, config, own), doubt)
+
+
+@lru_cache(maxsize=4)
+def _ways(intrinsics: CameraIntrinsics, *steps: float) -> Ways:
+    """Return the ways of an image for a direction down in multiples of WAY_STEP."""
+    down = np.array(steps)
+    return ways_over_ground(intrinsics, down / np.linalg.norm(down))
 
 
 def _mounting(found: PlaneSegmentation, labels: np.ndarray, ways: Ways, gravity: Gravity,

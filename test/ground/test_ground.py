@@ -30,7 +30,7 @@ from plane_detector.evaluation.scenes.terrain import (
 from plane_detector.evaluation.scenes.terrain import terrain as random_terrain
 from plane_detector.ground.ground import find_ground
 from plane_detector.planes.classification import PlaneClass
-from plane_detector.types import PlaneSegmentation
+from plane_detector.types import NO_PLANES, PlaneSegmentation
 
 MEASURED = Config(depth=DepthConfig(source='topic'))
 FROM_ABOVE = View(1.0, 25.0, roll_deg=3.0)
@@ -131,11 +131,13 @@ def test_a_rough_floor_without_a_plane_is_the_own_floor():
     terrain = course(kerb, -1, 0.2, start_m=1.6, view=View(0.8, 30.0))
     relief = np.random.default_rng(3).normal(0, 0.02, (96, 128)).astype(np.float32)
     relief = cv2.resize(relief, (640, 480), interpolation=cv2.INTER_CUBIC)
-    found = detect(terrain, terrain.scene.depth_m * (1 + relief))
-    assert (found.labels[terrain.kinds == Kind.FLOOR] < 0).mean() > 0.5
-    assert found.camera_height_m == pytest.approx(0.8, abs=0.01)
-    assert share(found, terrain, Kind.FLOOR) > 0.97
-    assert len(found.drops_m) > 100 and off_edges_m(found, terrain).max() < 0.1
+    scene, nothing = terrain.scene, np.full(relief.shape, -1, np.int32)
+    ground = find_ground(
+        PlaneSegmentation(NO_PLANES, nothing, 0.003), scene.depth_m * (1 + relief),
+        scene.intrinsics, Gravity(scene.gravity_camera.copy(), 1.0, 'measured'), MEASURED)
+    assert ground.camera_height_m == pytest.approx(0.8, abs=0.01)
+    assert ground.pixels.mask[terrain.kinds == Kind.FLOOR].mean() > 0.97
+    assert len(ground.pixels.drops_m) > 100 and off_edges_m(ground.pixels, terrain).max() < 0.1
 
 
 LEGS = GroundConfig(max_step=0.2, min_height=0.2, max_slope=30.0, min_drop=0.25)
