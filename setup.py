@@ -47,6 +47,7 @@ setup(
     entry_points={'console_scripts': [
         f'node = {NAME}.ros.node:main',
         f'demo = {NAME}.tools.demo.__main__:main',
+        f'export = {NAME}.tools.export:main',
         f'fetch = {NAME}.tools.fetch:main',
         f'replay = {NAME}.tools.replay.__main__:main',
         f'rviz = {NAME}.tools.rviz:main',

@@ -55,9 +55,9 @@ def write_map(path: Path, saved: SavedMap) -> None:
         raise OSError(f'the map cannot be written to {path}: {error}') from error
 
 
-def read_map(path: Path, frame_id: str) -> SavedMap:
+def read_map(path: Path, frame_id: str = '') -> SavedMap:
     """
-    Read a map.
+    Read a map, of this frame if one is named.
 
     Raises
     ------
@@ -86,7 +86,7 @@ def read_map(path: Path, frame_id: str) -> SavedMap:
     except (KeyError, TypeError, ValueError, IndexError) as error:
         raise ValueError(f'{path} is a damaged map of planes: {type(error).__name__}: {error}'
                          ) from error
-    if found.frame_id != frame_id:
+    if frame_id and found.frame_id != frame_id:
         raise ValueError(f'{path} is a map in the frame {found.frame_id}, not in {frame_id}: set '
                          f'target_frame to {found.frame_id}, or load another file')
     return found

@@ -147,14 +147,14 @@ class LiveMap:
     def facts(self) -> dict[str, str]:
         """Return what the diagnostics say of the map."""
         with self._lock:
-            facts = {'map.planes': str(len(self._map.planes)),
-                     'map.images_without_pose': str(self._without_pose)}
+            facts = {'map_planes': str(len(self._map.planes)),
+                     'map_images_without_pose': str(self._without_pose)}
             if self._last is not None:
                 moved_m, turned_deg = self._map.correction.size()
-                facts['map.correction'] = f'{100 * moved_m:.1f} cm, {turned_deg:.2f} degrees'
-                facts['map.explained'] = f'{self._last[1].explained:.0%}'
+                facts['map_correction'] = f'{100 * moved_m:.1f} cm, {turned_deg:.2f} degrees'
+                facts['map_explained'] = f'{self._last[1].explained:.0%}'
             if self._last_jump_m:
-                facts['map.last_jump'] = f'{100 * self._last_jump_m:.0f} cm'
+                facts['map_last_jump'] = f'{100 * self._last_jump_m:.0f} cm'
             return facts
 
     def problem(self) -> str:

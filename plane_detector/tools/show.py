@@ -5,6 +5,7 @@ Print the planes of a running node as a table, live.
 
     ros2 run plane_detector show
     ros2 run plane_detector show --json --once
+    ros2 run plane_detector show --map
 """
 
 from __future__ import annotations
@@ -32,6 +33,7 @@ with quiet_interrupt(), explained_imports():
     from plane_detector.ros.node import not_of_ros
     from plane_detector.ros.outputs.messages import read_cloud
     from plane_detector.ros.outputs.plane_json import planes_to_json
+    from plane_detector.ros.qos import output_profile
     from plane_detector.scale.estimate import RELATIVE
     from plane_detector.types import PlaneClass
 
@@ -79,16 +81,17 @@ class PlanePrinter(Node):
     Prints every message of ``~/planes``, clearing a terminal before each. Logs why none arrives.
 
     ``detector`` is the name of the node, with its namespace; ``as_json`` prints a line of JSON
-    for each message instead.
+    for each message instead, ``of_map`` prints the planes of the map.
     """
 
     def __init__(self, detector: str, stream: TextIO, as_json: bool = False,
-                 **node_options: object):
+                 of_map: bool = False, **node_options: object):
         super().__init__('plane_printer', **node_options)
         self._as_json = as_json
         self._name, self._stream, self.has_printed = detector.strip('/'), stream, False
         self._is_metric, self._camera, self._told = True, '', ''
-        self.create_subscription(PointCloud2, f'/{self._name}/planes', self._print, 1)
+        self.topic = f'/{self._name}/{"map/planes" if of_map else "planes"}'
+        self.create_subscription(PointCloud2, self.topic, self._print, output_profile(of_map))
         self.create_subscription(DiagnosticArray, '/diagnostics', self._note_facts, 10)
         self._silence = self.create_timer(GRACE_S, self._tell_silence)
 
@@ -107,7 +110,7 @@ class PlanePrinter(Node):
 
     def why_nothing(self) -> str:
         """Return why no planes arrive, and what to do."""
-        own = f'/{self._name}/planes'
+        own = self.topic
         if self.count_publishers(own):
             return f'no planes on {own} yet: the log of the node says what is missing'
         others = [name.removesuffix('/planes') for name, _ in self.get_topic_names_and_types()
@@ -135,10 +138,12 @@ def main(args: list[str] | None = None) -> int:
                         help='of the detector, with its namespace (default: %(default)s)')
     parser.add_argument('--once', action='store_true', help='end after the first table')
     parser.add_argument('--json', action='store_true', help='a line of JSON for each image')
+    parser.add_argument('--map', action='store_true',
+                        help='the planes of the map, with map.enabled')
     options = parser.parse_args(not_of_ros(arguments))
     rclpy.init(args=arguments)
-    node = PlanePrinter(options.node, sys.stdout, options.json)
-    print(f'waiting for /{options.node.strip("/")}/planes', file=sys.stderr)
+    node = PlanePrinter(options.node, sys.stdout, options.json, options.map)
+    print(f'waiting for {node.topic}', file=sys.stderr)
     try:
         while rclpy.ok() and not (options.once and node.has_printed):
             rclpy.spin_once(node, timeout_sec=0.2)

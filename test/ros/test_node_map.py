@@ -74,7 +74,7 @@ def test_the_map_is_latched_saved_cleared_and_loaded(robot, tmp_path):
     cut = trigger(robot, 'load')
     assert not cut.success
     assert 'is not a whole map' in cut.message
-    assert robot.spin(lambda: robot.diagnosis()[1].get('map.planes') == str(len(labels)))
+    assert robot.spin(lambda: robot.diagnosis()[1].get('map_planes') == str(len(labels)))
 
 
 def test_a_click_beside_the_image_is_answered_from_the_map(robot, tmp_path):
@@ -101,8 +101,8 @@ def test_an_image_without_transform_is_not_in_the_map_and_counted(robot, tmp_pat
     begin(robot, tmp_path)
     send(robot, ROOM, 1.0)
     robot.wait_for('labels')
-    assert robot.spin(lambda: robot.diagnosis()[1].get('map.images_without_pose') == '1')
-    assert robot.diagnosis()[1]['map.planes'] == '0'
+    assert robot.spin(lambda: robot.diagnosis()[1].get('map_images_without_pose') == '1')
+    assert robot.diagnosis()[1]['map_planes'] == '0'
 
 
 def test_a_target_frame_that_is_that_of_the_camera_is_reported(robot, tmp_path):
@@ -118,7 +118,7 @@ def test_without_a_map_there_is_nothing_of_it(robot):
     robot.wait_for('planes')
     names = [name for name, _ in robot.node.get_topic_names_and_types()]
     assert not [name for name in names if '/map/' in name]
-    assert 'map.planes' not in robot.diagnosis()[1]
+    assert 'map_planes' not in robot.diagnosis()[1]
 
 
 def test_a_jump_is_logged(robot, tmp_path):

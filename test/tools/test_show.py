@@ -15,7 +15,9 @@ import output_scene as scene
 import pytest
 import yaml
 from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from ros_helpers import camera_info_msg, cloud_array
+from sensor_msgs.msg import PointCloud2
 
 from plane_detector.planes.classification import PlaneClass
 from plane_detector.ros.outputs.plane_json import planes_to_json
@@ -159,3 +161,12 @@ def test_rviz_is_started_with_the_frame(monkeypatch, tmp_path):
 @pytest.fixture(autouse=True)
 def own_temporary_files(monkeypatch, tmp_path):
     monkeypatch.setattr(rviz.tempfile, 'tempdir', str(tmp_path))
+
+
+def test_a_latched_map_is_printed_by_who_comes_later(robot):
+    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    publisher = robot.node.create_publisher(PointCloud2, '/plane_detector/map/planes', latched)
+    publisher.publish(two_planes())
+    printed = io.StringIO()
+    robot.add(PlanePrinter('/plane_detector', printed, of_map=True, context=robot.context))
+    assert robot.spin(lambda: '2 planes at 1.5' in printed.getvalue())

@@ -270,7 +270,7 @@ def _process(bag: BagReader, topics: InputTopics, times_ns: tuple[int, int],
                 else:
                     facts |= tally.add(found.detection, config, options.outputs)
                 if live_map:
-                    facts |= {**live_map.facts(), 'map.problem': live_map.problem()}
+                    facts |= {**live_map.facts(), 'map_problem': live_map.problem()}
                     tally.map_events.extend(live_map.take_events())
             done_s = time.perf_counter()
             if found is not None:

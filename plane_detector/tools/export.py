@@ -1,0 +1,240 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Export a map of planes: a floor plan as SVG or GeoJSON, keep-out zones for Nav2, surfaces as PLY.
+
+    ros2 run plane_detector export planes.json --floor-plan plan.svg --keep-out keep_out.yaml
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from plane_detector.drawing import plane_colours
+from plane_detector.ending import run_program
+from plane_detector.mapping.cells import runs
+from plane_detector.mapping.map_file import SavedMap, read_map
+from plane_detector.mapping.map_plane import MapPlane, polygons_of, rectangles_of
+from plane_detector.types import PlaneClass
+
+# A wall is there where it is seen between these heights above the floor: a doorway is a gap, a
+# lintel or a threshold closes none.
+WALL_FROM_M, WALL_TO_M = 0.3, 1.7
+# chosen: gaps that are no passage for a robot are closed.
+LEAST_GAP_M = 0.4
+# chosen: planes within 10 degrees of it are level, and within 10 degrees of upright are walls.
+_LEVEL, _UPRIGHT = np.cos(np.radians(10.0)), np.sin(np.radians(10.0))
+# chosen: the resolution of the usual costmaps.
+KEEP_OUT_CELL_M = 0.05
+_PIXELS_PER_M, _MARGIN_M = 100, 0.25
+_COLOURS = {'floor': '#d9ead3', 'surface': '#f6d7a7'}
+
+
+@dataclass(frozen=True)
+class Level:
+    """A level surface: the floor, or a table or shelf above it."""
+
+    label: int
+    kind: str  # ``floor`` or ``surface``
+    plane_class: str
+    height_m: float  # above the floor
+    size_m: tuple[float, float]  # sides of the smallest rectangle around it
+    parts: tuple[tuple[np.ndarray, bool], ...]  # corners (N, 2), x and y, and whether it is a hole
+
+
+@dataclass(frozen=True)
+class FloorPlan:
+    """Walls and level surfaces from above, in the frame of the map; z is up."""
+
+    frame_id: str
+    walls: tuple[tuple[int, np.ndarray], ...]  # label and both ends (2, 2), metres
+    levels: tuple[Level, ...]  # the floor first, then by height
+
+
+def floor_plan(saved: SavedMap) -> FloorPlan:
+    """
+    Return the plan of a map whose frame has z up, as odom and map have.
+
+    Examples
+    --------
+    >>> from plane_detector.geometry.rigid_transform import RigidTransform
+    >>> floor_plan(SavedMap((), RigidTransform.identity(), 'odom', 0.0)).walls
+    ()
+
+    """
+    to_frame = saved.transform.inverse()
+    heights = {plane.label: to_frame.points(plane.centroid_m)[2] for plane in saved.planes}
+    floors = [plane for plane in saved.planes if plane.plane_class == PlaneClass.FLOOR]
+    largest = max(floors, key=lambda plane: plane.cells.count, default=None)
+    floor_m = heights[largest.label] if largest else min(heights.values(), default=0.0)
+    walls, levels = [], []
+    for plane in saved.planes:
+        up = to_frame.rotation @ plane.axes[2]
+        if abs(up[2]) < _UPRIGHT:
+            walls += [(plane.label, to_frame.points(ends_m)[:, :2])
+                      for ends_m in _wall_pieces(plane, to_frame, floor_m)]
+        elif up[2] > _LEVEL:
+            (rectangle,) = rectangles_of([plane])
+            levels.append(Level(
+                plane.label, 'floor' if plane in floors else 'surface',
+                plane.plane_class.readable, float(heights[plane.label] - floor_m),
+                (rectangle.width_m, rectangle.height_m), tuple(
+                    (to_frame.points(polygon.corners_m)[:, :2], polygon.is_hole)
+                    for polygon in polygons_of(plane))))
+    levels.sort(key=lambda level: (level.kind != 'floor', level.height_m))
+    return FloorPlan(saved.frame_id, tuple(walls), tuple(levels))
+
+
+def _wall_pieces(plane: MapPlane, to_frame, floor_m: float) -> list[np.ndarray]:
+    """Return both ends (2, 3) of each piece of a wall between its doorways."""
+    cells = plane.cells
+    rows, columns = np.nonzero(cells.seen)
+    flat_m = cells.size_m * (np.column_stack([columns, rows]) + np.array(cells.low) + 0.5)
+    height_m = to_frame.points(plane.points(flat_m))[:, 2] - floor_m
+    is_there = np.zeros(cells.seen.shape[1], int)
+    np.add.at(is_there, columns[(height_m > WALL_FROM_M) & (height_m < WALL_TO_M)], 1)
+    # Most of its height, so that neither a picture rail nor a parapet of one cell is a wall.
+    there = np.flatnonzero(is_there * cells.size_m > 0.3)
+    if not len(there):
+        return []
+    gaps = np.flatnonzero(np.diff(there) * cells.size_m > LEAST_GAP_M)
+    starts, ends = np.append(0, gaps + 1), np.append(gaps, len(there) - 1)
+    middle_v = flat_m[:, 1].mean()
+    return [plane.points(np.array([
+        [cells.size_m * (there[start] + cells.low[0]), middle_v],
+        [cells.size_m * (there[end] + 1 + cells.low[0]), middle_v]]))
+        for start, end in zip(starts, ends, strict=True)]
+
+
+def to_svg(plan: FloorPlan) -> str:
+    """Return the plan as SVG, y up, 100 pixels a metre."""
+    points = [ends for _, ends in plan.walls] + [
+        corners for level in plan.levels for corners, _ in level.parts]
+    together = np.vstack(points) if points else np.zeros((1, 2))
+    low, high = together.min(axis=0) - _MARGIN_M, together.max(axis=0) + _MARGIN_M
+
+    def place(corners: np.ndarray) -> list[list[float]]:
+        return (_PIXELS_PER_M * np.column_stack([corners[:, 0] - low[0], high[1] - corners[:, 1]])
+                ).round(1).tolist()
+
+    width, height = (_PIXELS_PER_M * (high - low)).round().astype(int)
+    lines = [f'<svg xmlns="http://www.w3.org/2000/svg" width="{width}" height="{height}">']
+    for level in plan.levels:
+        path = ' '.join('M' + ' L'.join(f'{x} {y}' for x, y in place(corners)) + ' Z'
+                        for corners, _ in level.parts)
+        lines.append(f'<path d="{path}" fill="{_COLOURS[level.kind]}" fill-rule="evenodd">'
+                     f'<title>{_title(level)}</title></path>')
+    for label, ends in plan.walls:
+        (x1, y1), (x2, y2) = place(ends)
+        lines.append(f'<line x1="{x1}" y1="{y1}" x2="{x2}" y2="{y2}" stroke="#333" '
+                     f'stroke-width="4"><title>wall {label}</title></line>')
+    return '\n'.join([*lines, '</svg>', ''])
+
+
+def _title(level: Level) -> str:
+    width_m, depth_m = level.size_m
+    return (f'{level.plane_class} {level.label}: {level.height_m:.2f} m above the floor, '
+            f'{width_m:.2f} x {depth_m:.2f} m')
+
+
+def to_geojson(plan: FloorPlan) -> str:
+    """Return the plan as GeoJSON; coordinates are metres in the frame of the map, not degrees."""
+    features = [{'type': 'Feature', 'properties': {'kind': 'wall', 'label': label},
+                 'geometry': {'type': 'LineString', 'coordinates': ends.round(3).tolist()}}
+                for label, ends in plan.walls]
+    for level in plan.levels:
+        rings: list[list] = []
+        for corners, is_hole in level.parts:
+            ring = np.vstack([corners, corners[:1]]).round(3).tolist()
+            if is_hole and rings:
+                rings[-1].append(ring)
+            else:
+                rings.append([ring])
+        features.append({
+            'type': 'Feature', 'properties': {
+                'kind': level.kind, 'label': level.label, 'class': level.plane_class,
+                'height_m': round(level.height_m, 3),
+                'size_m': [round(side_m, 3) for side_m in level.size_m]},
+            'geometry': {'type': 'MultiPolygon', 'coordinates': rings}})
+    return json.dumps({'type': 'FeatureCollection', 'frame': plan.frame_id, 'units': 'm',
+                       'features': features}, indent=1)
+
+
+def write_keep_out(plan: FloorPlan, path: Path) -> None:
+    """Write the walls as a map of Nav2's map server: a YAML file, and an image beside it."""
+    ends = np.vstack([ends for _, ends in plan.walls] or [np.zeros((1, 2))])
+    low, high = ends.min(axis=0) - 1.0, ends.max(axis=0) + 1.0
+    width, height = np.ceil((high - low) / KEEP_OUT_CELL_M).astype(int).tolist()
+    image = np.full((height, width), 254, np.uint8)  # free
+    for _, both in plan.walls:
+        (x1, y1), (x2, y2) = np.floor((both - low) / KEEP_OUT_CELL_M).astype(int).tolist()
+        cv2.line(image, (x1, height - 1 - y1), (x2, height - 1 - y2), 0, 1)
+    picture = path.with_suffix('.pgm')
+    if not cv2.imwrite(str(picture), image):
+        raise OSError(f'{picture} cannot be written')
+    path.write_text(
+        f'image: {picture.name}\nmode: trinary\nresolution: {KEEP_OUT_CELL_M}\n'
+        f'origin: [{low[0]:.3f}, {low[1]:.3f}, 0.0]\nnegate: 0\n'
+        'occupied_thresh: 0.65\nfree_thresh: 0.25\n', encoding='utf-8')
+
+
+def to_ply(saved: SavedMap) -> str:
+    """Return the surfaces as rectangles with the colours of their classes, in ASCII PLY."""
+    to_frame, vertices, faces = saved.transform.inverse(), [], []
+    labels = np.array([plane.label for plane in saved.planes], int)
+    classes = np.array([plane.plane_class for plane in saved.planes], int)
+    for plane, colour in zip(saved.planes, plane_colours(labels, classes).tolist(), strict=True):
+        for top, bottom, left, right in runs(plane.cells).tolist():
+            corners = np.array([[left, top], [right, top], [right, bottom], [left, bottom]])
+            corners_m = to_frame.points(plane.points(
+                plane.cells.size_m * (corners + np.array(plane.cells.low))))
+            faces.append(f'4 {" ".join(str(len(vertices) + k) for k in range(4))}')
+            vertices += [' '.join([*(f'{value:.4f}' for value in corner_m), *map(str, colour)])
+                         for corner_m in corners_m]
+    return '\n'.join([
+        'ply', 'format ascii 1.0', f'element vertex {len(vertices)}',
+        *(f'property float {axis}' for axis in 'xyz'),
+        *(f'property uchar {name}' for name in ('red', 'green', 'blue')),
+        f'element face {len(faces)}', 'property list uchar int vertex_indices', 'end_header',
+        *vertices, *faces, ''])
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Export; return the exit code."""
+    parser = argparse.ArgumentParser(prog='ros2 run plane_detector export',
+                                     description=__doc__.strip().splitlines()[0])
+    parser.add_argument('map', type=Path, metavar='FILE', help='of ~/map/save or replay --map')
+    parser.add_argument('--floor-plan', type=Path, metavar='SVG')
+    parser.add_argument('--geojson', type=Path, metavar='JSON')
+    parser.add_argument('--keep-out', type=Path, metavar='YAML')
+    parser.add_argument('--ply', type=Path, metavar='PLY')
+    options = parser.parse_args(arguments)
+    if not (options.floor_plan or options.geojson or options.keep_out or options.ply):
+        parser.error('nothing to write: give --floor-plan, --geojson, --keep-out or --ply')
+    return run_program('export', lambda: _export(options))
+
+
+def _export(options: argparse.Namespace) -> int:
+    saved = read_map(options.map)
+    plan = floor_plan(saved)
+    for path, text in ((options.floor_plan, to_svg(plan)), (options.geojson, to_geojson(plan)),
+                       (options.ply, to_ply(saved))):
+        if path is not None:
+            path.write_text(text, encoding='utf-8')
+            print(f'{path} is written')
+    if options.keep_out is not None:
+        write_keep_out(plan, options.keep_out)
+        print(f'{options.keep_out} is written')
+    return 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())
