@@ -45,7 +45,7 @@ from plane_detector.segmentation.regions.region_graph import MAX_DEVIATIONS, Reg
 from plane_detector.segmentation.search.plane_search import search_planes, sees_creases
 
 # Residuals of exact planes in a disparity of unknown unit, as a share of its range.
-# derived: above the rounding of 16-bit images, 1.5e-5 of the range, by a margin.
+# chosen: above the rounding of 16-bit images, 1.5e-5 of the range, by a margin.
 RELATIVE_FLOOR = 1e-4
 # Exact surfaces that turn by less are planes: errors below the noise floor may be smooth.
 # tuned: rooms at noise 0.0001 and curved scenes; 0.16 of the rooms loses its labels at 0.

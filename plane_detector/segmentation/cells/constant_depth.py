@@ -35,9 +35,9 @@ MAX_ATTACHED_SHARE = 0.15
 # quantised wall are about equally frequent.
 # chosen: between 2 and the 100 of a limit.
 MIN_FREQUENCY_RATIO = 8
-# derived: above the rounding of float32 at 10 m, below what sensors and files resolve.
+# chosen: above the rounding of float32 at 10 m, below what sensors and files resolve.
 _MIN_STEP_M = 1e-5
-# derived: enough places for the smallest share, .01 of 4800 cells, are 48.
+# chosen: enough places for the smallest share, .01 of 4800 cells, are 48.
 _STRIDE = 8
 _BORDER_PX = 2
 

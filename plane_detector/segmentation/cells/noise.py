@@ -35,7 +35,7 @@ from plane_detector.segmentation.cells.grid import CellGrid, DisparityImage
 # derived: the median of so many is good to 4 %.
 MAX_SAMPLES = 1000
 # Distance of the cells of a second difference: smooth noise is correlated in nearer cells.
-# derived: blur of a standard deviation of 12 px is uncorrelated four cells of 8 px apart.
+# chosen: blur of a standard deviation of 12 px is uncorrelated four cells of 8 px apart.
 LAG_CELLS = 4
 # tuned: benchmark sensitivity; flat to 1.4 times; at 0.7 times precision -0.017.
 QUANTILE = 0.25
@@ -43,7 +43,7 @@ QUANTILE = 0.25
 # tuned: eight NYU frames with 12 seeds, ABW, simulated sensors: flat from 3 to no bound, but for
 # the recall of the NYU frames, -0.01 without.
 MAX_STEEPNESS = 5.0
-# derived: sensors have 0.3 to 0.8 px (Nguyen et al. 2012); more is seen where no plane is steep.
+# chosen: sensors have 0.3 to 0.8 px (Nguyen et al. 2012); more is seen where no plane is steep.
 MAX_LATERAL_PX = 1.0
 # derived: the quantiles of a normal variable and of its modulus.
 NORMAL_QUANTILE = NormalDist().inv_cdf(QUANTILE)
@@ -63,7 +63,7 @@ SLOPE_PER_NOISE = 8.0
 # to 1.4 times, -0.028 at 0.
 GRAIN_PER_NOISE = 0.25
 # Cells with the same smooth noise where no region of the image is large enough to measure it.
-# derived: a cell and its eight neighbours.
+# chosen: a cell and its eight neighbours.
 CORRELATED_CELLS = 9.0
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from plane_detector.segmentation.cells.grid import CellGrid
 from plane_detector.types import CameraIntrinsics, Prediction
 
-# derived: the best published normals have a mean error of 10 degrees, most of which is common to
+# chosen: the best published normals have a mean error of 10 degrees, most of which is common to
 # neighbours. Normals are not assumed more accurate than this. A plane seen at a smaller angle may
 # as well face away, so that its normal says nothing.
 MIN_NORMAL_ERROR_DEG = 2.0

@@ -106,11 +106,11 @@ MAX_BULGE_VARIANCES = 3.5**2
 # tuned: 14 real frames through FastDepth, SC with the planes of the sensor's depth; flat to 1.4
 # times; at 0.7 times precision -0.013.
 MAX_BOW_RATIO = 3.0
-# derived: about as many lines, and samples per line, as cells along the longer side of a piece.
+# chosen: about as many lines, and samples per line, as cells along the longer side of a piece.
 SIGHT_LINES = 24
 # Of the cells between two pieces, so many may be farther than their plane. One counts from
 # MAX_DEVIATIONS on, wholly at twice that, so that no single cell decides by a hair.
-# derived: three times the share of normal deviates below -3.
+# chosen: three times the share of normal deviates below -3.
 MAX_FARTHER_SHARE = 0.004
 # Pieces that do not touch are one plane up to this angle, and so many deviations of it more.
 # tuned: eight NYU frames with 12 seeds, SC .909 without, .918 at 0 and .917 at 1 deviation; rooms

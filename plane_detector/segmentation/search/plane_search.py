@@ -41,7 +41,7 @@ START_SHARE = 0.7
 # The largest planes reveal noise that is smooth over more than neighbouring cells.
 # tuned: benchmark sensitivity; flat from 0.7 to 1.4 times.
 CALIBRATION_PLANES = 3
-# derived: planes are the same when the noise changes by less.
+# chosen: planes are the same when the noise changes by less.
 TOLERANCE = 0.1
 # Neighbours on planes at this angle must not link; walls that a network bends by less are one.
 # tuned: 14 real frames through FastDepth: SC -0.009 at 20 and at 70; for links flat from 20 to 45.
