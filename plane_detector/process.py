@@ -53,16 +53,14 @@ def retain_freed_memory(one_heap: bool = False) -> bool:
                 and (not one_heap or mallopt(_M_ARENA_MAX, 1)))
 
 
-def freeze_loaded_objects() -> None:
+def tidy_after_loading() -> None:
     """
-    Exclude existing objects, such as modules and the network, from garbage collection.
+    Collect garbage now, and not in the middle of a frame; return the memory that loading freed.
 
-    Full collections visited 190000 objects, most of them numba's, which took .1 s in the middle
-    of a frame, every ten or twenty frames. Memory that loading has freed is returned.
+    After it the next full collection comes when a quarter more objects live: none in 600 frames.
+    Without it there was one, of .08 s.
     """
-    gc.unfreeze()
     gc.collect()
-    gc.freeze()
     with suppress(AttributeError, OSError, TypeError):  # another C library than glibc
         ctypes.CDLL(None).malloc_trim(0)
 

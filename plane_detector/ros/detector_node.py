@@ -27,7 +27,7 @@ from plane_detector.dependencies import explanation
 from plane_detector.depth.observation import ModelOrFunction
 from plane_detector.pipeline import PlaneDetector
 from plane_detector.plain_text import plain
-from plane_detector.process import freeze_loaded_objects
+from plane_detector.process import tidy_after_loading
 from plane_detector.ros import parameters
 from plane_detector.ros.diagnostics import (
     DiagnosticsPublisher,
@@ -322,7 +322,7 @@ class PlaneDetectorNode(LifecycleNode):
         # The network first: a reason why there is none is known before loops are compiled.
         detector = PlaneDetector(self._live.config, self._depth_model)
         load_kernels(self._live.config, self.get_logger().info)
-        freeze_loaded_objects()
+        tidy_after_loading()
         return detector
 
     def _fail(self, reason: str, may_pass: bool = False) -> TransitionCallbackReturn:
