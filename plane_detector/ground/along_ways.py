@@ -271,6 +271,7 @@ def mark_drops(depth_m, labels, ground, lines, ways, ray_x, ray_y, planes, down,
     Columns are x y z, the drop, the way, and depth and range at which the ground would have been
     seen next. The drop is NaN where nothing is seen behind the end. Metres.
     """
+    height, width = depth_m.shape
     found, count, planes_count = np.empty((2 * ways, 7)), 0, len(is_ground) - 1
     # Of each way: where the ground was seen last, on which plane and how deep; then how many
     # pixels are lower, and how many neither that nor ground.
@@ -280,12 +281,22 @@ def mark_drops(depth_m, labels, ground, lines, ways, ray_x, ray_y, planes, down,
     # The drop that was found last, its plane, the lines on which it was seen; the last line.
     pending, pending_k = np.full(ways, -1, np.int32), np.zeros(ways, np.int32)
     pending_end, way_end = np.zeros(ways, np.int32), np.zeros(ways, np.int32)
+    # A border at the side that never has depth ends a way, as the border of the image does.
+    nearest = np.array([width, height])
+    farthest = np.zeros(2, np.int64)
+    for v in range(0, height, 4):
+        for u in range(0, width, 4):
+            if depth_m[v, u] >= MIN_DEPTH_M and depth_m[v, u] < np.inf:
+                nearest[0], nearest[1] = min(nearest[0], u), min(nearest[1], v)
+                farthest[0], farthest[1] = max(farthest[0], u), max(farthest[1], v)
     for i in range(len(lines)):
         u0, v0, du, dv, start, step, first, last, low, high = _line(lines, i)
         for w in range((first + 1) // 2 * 2, last, 2):
             a = min(max((start + w * step) >> FRACTION_BITS, low), high - 1)
             u, v = u0 + du * a, v0 + dv * a
-            way_end[w] = i
+            if (u if du else v) >= nearest[dv] + BORDER_PX and (
+                    u if du else v) <= farthest[dv] - BORDER_PX:
+                way_end[w] = i
             k = labels[v, u]
             if k >= 0 and k == end_k[w] and ground[v, u]:
                 end[w], end_z[w], lower[w], mixed[w] = i, 0.0, 0, 0
@@ -347,7 +358,7 @@ def mark_drops(depth_m, labels, ground, lines, ways, ray_x, ray_y, planes, down,
                     end[w], end_k[w], end_z[w], lower[w], mixed[w] = i, own, z, 0, 0
     for w in range(0, ways, 2):
         e = end_k[w]
-        if e < 0 or lower[w] > 0 or end[w] == way_end[w] or count == len(found):
+        if e < 0 or lower[w] > 0 or end[w] >= way_end[w] or count == len(found):
             continue
         x_end, y_end = _ray_at(lines, end[w], w, ray_x, ray_y)
         x, y = _ray_at(lines, way_end[w], w, ray_x, ray_y)

@@ -127,6 +127,14 @@ def test_a_quay_that_is_not_straight_across_the_view_is_told(yaw_deg):
     assert len(detect(view).drops_m) > 150
 
 
+@pytest.mark.parametrize('roll_deg', [0, 90, 180])
+def test_a_border_without_depth_is_no_edge(roll_deg):
+    view = seen(course(4.0), 1.2, 18, roll_deg, noise=0.001)
+    depth_m = np.full_like(view.depth_m, np.nan)
+    depth_m[30:-30, 40:-40] = view.depth_m[30:-30, 40:-40]
+    assert len(detect(view, depth_m).drops_m) == 0
+
+
 # 5. Ignorance is not "no drop".
 UNIT = 'check the unit'
 UNSEEN = {
