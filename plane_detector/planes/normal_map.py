@@ -56,8 +56,8 @@ def turned_by_normals(regions: PixelRegions, prediction: Prediction,
     Returns
     -------
     PixelRegions
-        With new coefficients; a region without enough normals, or whose normals belong to
-        another surface, keeps its own.
+        With new coefficients and ``rotated_rad``; a region without enough normals, or whose
+        normals belong to another surface, keeps its own.
 
     """
     if prediction.normals_camera is None:
@@ -65,6 +65,7 @@ def turned_by_normals(regions: PixelRegions, prediction: Prediction,
     normals_camera = prediction.normals_camera[::STEP_PX, ::STEP_PX]
     jacobian = ray_plane_jacobian(intrinsics)
     coefficients = regions.coefficients.copy()
+    rotated_rad = np.zeros(len(coefficients))
     spreads = _cell_spreads(regions, jacobian)
     disparity, labels = (image[::STEP_PX, ::STEP_PX]
                          for image in (regions.disparity, regions.labels))
@@ -79,7 +80,8 @@ def turned_by_normals(regions: PixelRegions, prediction: Prediction,
         inverse_offset = _inverse_offset(normal, rays, disparity[row, column])
         if inverse_offset > 0:
             coefficients[k] = np.linalg.solve(jacobian, -normal * inverse_offset)
-    return replace(regions, coefficients=coefficients)
+            rotated_rad[k] = np.arccos(min(own @ normal, 1.0))
+    return replace(regions, coefficients=coefficients, rotated_rad=rotated_rad)
 
 
 def _average(own: np.ndarray, own_spread_rad: float, sample: np.ndarray) -> np.ndarray:

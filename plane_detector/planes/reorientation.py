@@ -62,8 +62,19 @@ def measure_turned(regions: PixelRegions, intrinsics: CameraIntrinsics, min_pixe
     planes, labels = measure_planes(regions, intrinsics, min_pixels)
     if lines is None or not len(lines.axes) or not len(planes):
         return planes, labels
-    turned = reorient(replace(regions, labels=labels), planes, lines, intrinsics)
+    turned = reorient(replace(regions, labels=labels,
+                              rotated_rad=_rotations(regions, labels, len(planes))),
+                      planes, lines, intrinsics)
     return measure_planes(turned, intrinsics, min_pixels)
+
+
+def _rotations(regions: PixelRegions, labels: np.ndarray, count: int) -> np.ndarray:
+    """Return ``rotated_rad`` of the regions that other labels (H, W) of these pixels stand for."""
+    rotated_rad = np.zeros(count)
+    if np.any(regions.rotated_rad):
+        seen = labels >= 0
+        rotated_rad[labels[seen]] = regions.rotated_rad[regions.labels[seen]]
+    return rotated_rad
 
 
 def reorient(regions: PixelRegions, planes: Planes, lines: ImageDirections,
@@ -107,8 +118,10 @@ def reorient(regions: PixelRegions, planes: Planes, lines: ImageDirections,
     changed = found.is_changed & np.isfinite(refitted)
     normals[changed], offsets[changed] = found.normals[changed], refitted[changed]
     is_sure = found.probability > MIN_PROBABILITY
-    agree = _agreeing(normals, offsets, found.sigmas_rad) & is_sure & is_sure[:, None]
-    group = _groups(agree & _continuous(regions, planes, intrinsics, found.sigmas_rad))
+    # What normals have rotated has right angles, but its depth is as bent as before.
+    off_rad = np.maximum(found.sigmas_rad, regions.rotated_rad)
+    agree = _agreeing(normals, offsets, off_rad) & is_sure & is_sure[:, None]
+    group = _groups(agree & _continuous(regions, planes, intrinsics, off_rad))
     joined = replace(regions, labels=rename_labels(regions.labels, np.where(is_sure, group, -1)))
     grown = np.bincount(group, minlength=len(group)) > 1
     if grown.any():

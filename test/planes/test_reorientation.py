@@ -16,7 +16,7 @@ from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.evaluation.scenes.rooms import attic, hexagon_room, random_room
 from plane_detector.evaluation.scenes.textures import ramp_room, rolled_room, textured
 from plane_detector.planes.measurement import measure_planes
-from plane_detector.planes.reorientation import reorient
+from plane_detector.planes.reorientation import measure_turned, reorient
 from plane_detector.segmentation.cells.grid import DisparityImage, build_cell_grid
 from plane_detector.segmentation.cells.pixel_regions import PixelRegions
 from plane_detector.segmentation.segment import metric_noise_floor, segment
@@ -105,6 +105,23 @@ def test_pieces_of_a_bent_wall_are_joined_but_not_across_a_step(step_share, piec
     planes, labels = measure_planes(regions, camera)
     after = reorient(replace(regions, labels=labels), planes, upright_axes(camera), camera)
     assert len(np.unique(after.labels)) == pieces
+
+
+@pytest.mark.parametrize(('rotated_deg', 'pieces'), [(0.0, 2), (8.5, 1)])
+def test_pieces_that_normals_have_rotated_are_joined_as_far_as_their_depth_is_bent(
+        rotated_deg, pieces):
+    camera = CameraIntrinsics.from_field_of_view(160, 120, 60.0)
+    ray_x = np.broadcast_to((np.arange(160) - camera.cx) / camera.fx, (120, 160))
+    disparity = 0.5 * (1 + 0.15 * np.abs(ray_x)) * (1 + 0.006 * (ray_x > 0))
+    image = DisparityImage(disparity.astype(np.float32), np.ones((120, 160), bool))
+    grid = build_cell_grid(image)
+    # Both halves as the normals say: seen from the front, each at its mean.
+    means = [disparity[0, :80].mean(), disparity[0, 80:].mean()]
+    regions = PixelRegions(
+        image.values, (ray_x > 0).astype(np.int32), np.array([[0, 0, mean] for mean in means]),
+        grid, metric_noise_floor(CONFIG, 0.002), rotated_rad=np.radians([rotated_deg] * 2))
+    planes, _ = measure_turned(regions, camera, 100, upright_axes(camera))
+    assert len(planes) == pieces
 
 
 def test_pixels_that_a_level_plane_cannot_contain_have_no_label():

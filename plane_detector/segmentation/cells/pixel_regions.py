@@ -37,6 +37,8 @@ class PixelRegions:
     # float or (K,) float64: probability that they are horizontal, vertical or neither as their
     # planes, where not the depth alone decides; NaN: it does
     class_certainty: float | np.ndarray = np.nan
+    # float or (K,) float64: angle by which normals of a network have rotated each from its depth
+    rotated_rad: float | np.ndarray = 0.0
     # (h, w) int32: for every PATCH_SCALE-th row and column, the patch of one colour of the image,
     # each one surface of the scene; 0 none. Of no size if only the depth decides
     patches: np.ndarray = field(default_factory=NO_PATCHES.copy)
