@@ -94,11 +94,15 @@ def as_planes(planes: Sequence[MapPlane]) -> Planes:
 
     Counts are of cells; their confidence is the share of the looks at them that were hits.
     """
-    normals, offsets_m, covariances = frames_of(planes).as_planes()
+    frames = frames_of(planes)
+    normals, offsets_m, covariances = frames.as_planes()
     counts = np.array([plane.cells.count for plane in planes], np.int64)
+    middles = np.ones((len(planes), 3))  # u, v and the height there
+    middles[:, :2] = np.array([plane.cells.centroid_m for plane in planes]).reshape(-1, 2)
+    middles[:, 2] = (frames.coefficients * middles).sum(axis=1)
     return Planes(
-        normals, offsets_m, np.array([plane.centroid_m for plane in planes]).reshape(-1, 3),
-        counts, np.zeros(len(planes)), np.array([plane.cells.area_m2 for plane in planes], float),
+        normals, offsets_m, frames.origins_m + (middles[:, None] @ frames.axes)[:, 0], counts,
+        np.zeros(len(planes)), np.array([plane.cells.area_m2 for plane in planes], float),
         covariances, np.array([plane.cells.hit_share for plane in planes], float),
         np.full(len(planes), np.nan), np.array([plane.plane_class for plane in planes], np.uint8),
         np.array([plane.label for plane in planes], np.int64), np.zeros(len(planes), np.int64))
