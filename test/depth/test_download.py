@@ -13,6 +13,7 @@ import tarfile
 import threading
 import time
 
+import needs_onnxruntime  # noqa: F401
 import numpy as np
 import pytest
 from onnx_models import write_depth_network

@@ -7,7 +7,7 @@ from dataclasses import replace
 import output_scene as scene
 
 from plane_detector.ros.diagnostics import Health
-from plane_detector.types import PlaneClass, Planes
+from plane_detector.types import GroundPixels, PlaneClass, Planes
 
 
 class Logger(list):
@@ -23,7 +23,7 @@ class Logger(list):
 def without_gravity():
     return scene.detection(planes=Planes.of([
         replace(scene.plane(index), plane_class=PlaneClass.UNKNOWN)
-        for index in (scene.WALL, scene.FLOOR)]), ground_pixels=None)
+        for index in (scene.WALL, scene.FLOOR)]), ground_pixels=GroundPixels())
 
 
 def test_a_gap_is_logged_once_and_withdrawn_once():

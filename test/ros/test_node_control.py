@@ -19,6 +19,7 @@ from ros_helpers import Robot, camera_info_msg, cloud_array, header, image_array
 from sensor_msgs.msg import Image, Imu
 from std_srvs.srv import Trigger
 
+from plane_detector.depth.networks import NETWORKS
 from plane_detector.depth.observation import DepthFunction
 from plane_detector.planes.classification import PlaneClass
 from plane_detector.ros import detector_node, live_settings, transitions
@@ -141,7 +142,7 @@ def test_configuring_fails_with_the_reason_and_can_be_tried_again(robot, tmp_pat
     assert robot.is_logged('cannot be configured')
     status, values = robot.diagnosis()
     assert status.level == DiagnosticStatus.ERROR
-    assert values['last_error'].endswith('metric3d_v2_small'), 'the whole reason'
+    assert values['last_error'].endswith([*NETWORKS][-1]), 'the whole reason'
     assert node.state == 'unconfigured'
     assert not change_state(robot, Transition.TRANSITION_CONFIGURE)
 
