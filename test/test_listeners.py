@@ -8,20 +8,27 @@ among the wheels: spinning it calls the subscription with the message of the tes
 """
 
 import re
+import runpy
 import shutil
 import subprocess
 import sys
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 
 import numpy as np
 import output_scene as scene
 import pytest
 import rclpy
 import sensor_msgs
-from ros_helpers import cloud_array, random_domain
+from ros_helpers import cloud_array, header, random_domain
 
+from plane_detector.geometry.rigid_transform import RigidTransform
+from plane_detector.mapping.cells import Cells
+from plane_detector.mapping.map_plane import CLASSES, MapPlane, as_planes
+from plane_detector.mapping.plane_map import MapSnapshot
 from plane_detector.planes.classification import PlaneClass
+from plane_detector.ros.outputs.frame import MapView
+from plane_detector.ros.outputs.map_messages import map_planes_to_msg
 from plane_detector.ros.outputs.topics import OUTPUTS
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -65,6 +72,76 @@ def test_both_know_all_classes(listener):
     source = (EXAMPLES / 'plane_listener.cpp').read_text('utf-8')
     table = re.search(r'kClasses\{(.*?)\}', source, re.DOTALL)[1]
     assert re.findall(r'"([^"]*)"', table) == NAMES
+
+
+def map_msg():
+    """Return a map: a table turned by 30 degrees, a small box, an underside, a floor."""
+    def surface(label, kind, side, middle, rows, columns):
+        seen = np.full((rows, columns), 10, np.uint8)
+        x, y = np.cos(np.radians(30)), np.sin(np.radians(30))
+        axes = np.array([[x, y, 0], [-side * y, side * x, 0], [0, 0, side]])
+        return MapPlane(label, np.array(middle, float), axes, np.zeros(3), 1e-6 * np.eye(3),
+                        Cells((-columns // 2, -rows // 2), seen, seen.copy(), 0.05), 5, 0.0, 1.0,
+                        1, np.eye(CLASSES)[kind])
+
+    level = PlaneClass.OTHER_HORIZONTAL
+    surfaces = (surface(3, level, 1, (1, 2, 0.75), 14, 24),
+                surface(4, level, 1, (1, 1, 0.85), 2, 24),
+                surface(5, level, -1, (1, 2, 0.7), 14, 24),
+                surface(1, PlaneClass.FLOOR, 1, (0, 0, 0), 60, 60))
+    return map_planes_to_msg(MapView(header(1.0), MapSnapshot(
+        surfaces, as_planes(surfaces), RigidTransform.identity()), {9: 3}))
+
+
+def test_tables_of_the_map_are_boxes_below_their_planes():
+    names = runpy.run_path(str(EXAMPLES / 'tables_to_moveit.py'))
+    boxes = names['boxes_of'](cloud_array(map_msg()).ravel())
+    ((name, (centre, turn, sides)),) = boxes.items()
+    assert name == 'table_3'
+    assert centre == pytest.approx([1, 2, 0.75 - names['THICKNESS_M'] / 2], abs=1e-6)
+    assert sides == pytest.approx([1.2, 0.7, names['THICKNESS_M']], abs=1e-3)
+    along = RigidTransform.from_quaternion(turn, (0.0, 0.0, 0.0)).rotation[:, 0]
+    assert abs(along @ [np.cos(np.radians(30)), np.sin(np.radians(30)), 0]) == pytest.approx(
+        1, abs=1e-4)
+    assert names['OTHER_HORIZONTAL'] == PlaneClass.OTHER_HORIZONTAL
+
+
+def test_without_moveit_the_example_says_what_is_missing(monkeypatch):
+    monkeypatch.setitem(sys.modules, 'moveit_msgs', None)
+    with pytest.raises(SystemExit, match='apt install ros-jazzy-moveit-msgs'):
+        runpy.run_path(str(EXAMPLES / 'tables_to_moveit.py'))['main']()
+
+
+class MoveitMessage(SimpleNamespace):
+    """A stand-in for messages of moveit_msgs, which is not in pip."""
+
+    ADD, REMOVE = b'\x00', b'\x01'
+
+    def __getattr__(self, name):
+        setattr(self, name, [] if name == 'collision_objects' else MoveitMessage())
+        return vars(self)[name]
+
+
+def test_tables_are_given_to_moveit_and_taken_away(listener, monkeypatch):
+    module, changes, received = ModuleType('moveit_msgs.msg'), [], []
+    module.PlanningScene = module.CollisionObject = MoveitMessage
+    monkeypatch.setitem(sys.modules, 'moveit_msgs', ModuleType('moveit_msgs'))
+    monkeypatch.setitem(sys.modules, 'moveit_msgs.msg', module)
+    monkeypatch.setattr(rclpy, 'init', lambda: None)
+    monkeypatch.setattr(rclpy, 'create_node', lambda name: SimpleNamespace(
+        create_publisher=lambda *args: SimpleNamespace(publish=changes.append),
+        create_subscription=lambda kind, topic, callback, qos: received.append(callback)))
+    nothing = OUTPUTS['planes'].make(scene.frame(empty()))
+    monkeypatch.setattr(rclpy, 'spin', lambda node: [
+        received[0](msg) for msg in (map_msg(), nothing)])
+    runpy.run_path(str(EXAMPLES / 'tables_to_moveit.py'))['main']()
+    ((table,), (gone,)) = (change.world.collision_objects for change in changes)
+    assert (table.id, table.operation) == ('table_3', MoveitMessage.ADD)
+    assert table.header.frame_id == map_msg().header.frame_id
+    assert list(table.primitives[0].dimensions) == pytest.approx([1.2, 0.7, 0.02], abs=1e-3)
+    assert (table.pose.position.x, table.pose.position.y) == pytest.approx((1, 2), abs=1e-6)
+    assert (gone.id, gone.operation) == ('table_3', MoveitMessage.REMOVE)
+    assert all(change.is_diff and change.robot_state.is_diff for change in changes)
 
 
 def test_examples_are_installed():
