@@ -49,6 +49,12 @@ MAX_NOISE_SHARE = 0.125
 MIN_TILT_RAD = 1e-4
 # tuned: python3 -m plane_detector.evaluation.benchmark confidence, which fits and checks them.
 CONFIDENCE_WEIGHTS = (1.19, 0.43, -0.56)
+# Of measured depth, the rms in excess of so many times that of the noise, divided by the root of
+# the area, at which the confidence is half: leaves or people are no plane.
+# tuned: 6 rooms and 6 lived-in rooms from seed 200 with noise, Brier score: lived-in rooms .156
+# without, .142 to .147 from .028 to .056; rooms .064 without, .066 to .065. At 1 times the noise
+# rooms get .089, at 1.5 times nothing changes.
+MAX_ROUGHNESS, NOISE_MARGIN = 0.04, 1.2
 
 
 def measure_planes(regions: PixelRegions, intrinsics: CameraIntrinsics,
@@ -90,7 +96,9 @@ def planes_from_sums(regions: PixelRegions, sums: np.ndarray, kept: np.ndarray,
     table = _measured(
         sums_kept, regions.coefficients[kept], ray_plane_jacobian(camera),
         (noise.pixel_sigma**2 + noise.disparity_floor**2, noise.depth_floor_m**2,
-         *_smooth_noise(regions)),
+         *_smooth_noise(regions), (noise.lateral_px / regions.grid.width_px)**2,
+         # A network's errors bend its planes.
+         np.inf if noise.source_sigma > 0 else MAX_ROUGHNESS**2),
         (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height))
     certainty, of_class = (np.broadcast_to(one, len(sums))[kept].astype(float)
                            for one in (regions.certainty, regions.class_certainty))
@@ -117,13 +125,14 @@ def _smooth_noise(regions: PixelRegions) -> tuple[float, float]:
 
 
 @kernel('float64[:, ::1](float64[:, ::1], float64[:, ::1], float64[:, ::1], '
-        'UniTuple(float64, 4), UniTuple(float64, 6))', is_short=True)
+        'UniTuple(float64, 6), UniTuple(float64, 6))', is_short=True)
 def _measured(sums, planes, jacobian, noise, camera):
     """
     Return the measurements (K, 26) of planes, in the columns of this module.
 
     The variance of a pixel's own noise is the sum of a constant and a multiple of the fourth power
-    of 1/z; behind them are the variance of the smooth noise, and the area that shares its value.
+    of 1/z; behind them are the variance of the smooth noise, the area that shares its value, the
+    lateral variance, and the square of the largest roughness.
     """
     fx, fy, cx, cy, width, height = camera
     table, chain, fit = np.zeros((len(sums), 26)), np.empty((4, 3)), np.empty((3, 3))
@@ -147,15 +156,20 @@ def _measured(sums, planes, jacobian, noise, camera):
         row[RMS] = offset_m * np.sqrt(sums[k, SQUARE] / pixels)
         row[AREA] = sums[k, ZZZ] / (fx * fy * offset_m)
         fitted = sums[k, WHOLE:] if sums[k, WHOLE] > MIN_WHOLE_SHARE * pixels else sums[k]
-        _fit_errors(fitted, (noise[0] + noise[1] * (sums[k, D] / pixels) ** 4, noise[2], noise[3]),
-                    width, fit)
+        own = noise[0] + noise[1] * (sums[k, D] / pixels) ** 4
+        _fit_errors(fitted, (own, noise[2], noise[3]), width, fit)
         _differentiate(row, jacobian, chain)
         for i in range(16):
             for j in range(9):
                 row[COVARIANCE + i] += (chain[i // 4, j // 3] * fit[j // 3, j % 3]
                                         * chain[i % 4, j % 3])
         of_normal = row[COVARIANCE] + row[COVARIANCE + 5] + row[COVARIANCE + 10]
-        row[CONFIDENCE] = confidence(pixels / (width * height), np.sqrt(of_normal))
+        # The root mean cube of z is at least its root mean square.
+        expected = (offset_m * NOISE_MARGIN * np.cbrt(sums[k, ZZZ] / pixels)) ** 2 * (
+            own + noise[2] + noise[4] * (planes[k, 0] ** 2 + planes[k, 1] ** 2))
+        excess = max(row[RMS] ** 2 - expected, 0.0) / row[AREA]
+        row[CONFIDENCE] = (confidence(pixels / (width * height), np.sqrt(of_normal))
+                           / (1 + excess / noise[5]))
     return table
 
 

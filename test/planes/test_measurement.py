@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Measurements of planes, compared with their pixels."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -98,7 +100,7 @@ def test_covariance_and_confidence_follow_from_the_fit(camera):
     design = np.stack([x, y, np.ones(600)])
     d = plane @ design
     sums[:10] = [600, x.sum(), y.sum(), x @ x, x @ y, y @ y, d.sum(), x @ d, y @ d, d @ d]
-    sums[10:15] = [(x / d).sum(), (y / d).sum(), (1 / d).sum(), (1 / d**3).sum(), 600 * 0.01]
+    sums[10:15] = [(x / d).sum(), (y / d).sum(), (1 / d).sum(), (1 / d**3).sum(), 600 * 0.03**2]
     shape = camera.height, camera.width
     grid = build_cell_grid(DisparityImage(np.ones(shape, np.float32), np.ones(shape, bool)))
     regions = PixelRegions(np.ones((1, 1)), np.zeros((1, 1), np.int32), plane[None], grid,
@@ -114,8 +116,15 @@ def test_covariance_and_confidence_follow_from_the_fit(camera):
     expected = 0.02**2 * chain.T @ np.linalg.inv(design @ design.T) @ chain
     np.testing.assert_allclose(measured.covariance, expected, rtol=1e-5, atol=1e-12)
     np.testing.assert_allclose([*measured.normal, measured.offset_m], equation(plane))
-    assert measured.rms_m == pytest.approx(0.1 * measured.offset_m)
+    assert measured.rms_m == pytest.approx(0.03 * measured.offset_m)
     pixels = camera.width * camera.height
     logit = [1, np.log(600 / pixels), np.log(np.trace(expected[:3, :3])) / 2] @ np.array(
         CONFIDENCE_WEIGHTS)
     assert measured.confidence == pytest.approx(1 / (1 + np.exp(-logit)), rel=1e-4)
+    rough = sums.copy()
+    rough[14] *= 100
+    clutter, = planes_from_sums(regions, rough[None], np.array([0]), camera)
+    assert clutter.confidence < 0.1 * measured.confidence  # its rms is above its extent
+    of_network = replace(regions, noise=replace(regions.noise, source_sigma=1e-6))
+    bent, = planes_from_sums(of_network, rough[None], np.array([0]), camera)
+    assert bent.confidence == pytest.approx(measured.confidence, rel=1e-3)
