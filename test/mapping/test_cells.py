@@ -6,7 +6,16 @@ import numpy as np
 import pytest
 
 from plane_detector.geometry.rigid_transform import RigidTransform
-from plane_detector.mapping.cells import Cells, View, are_near, outlines, runs, shared_cells, vote
+from plane_detector.mapping.cells import (
+    THROUGH,
+    Cells,
+    View,
+    are_near,
+    outlines,
+    runs,
+    shared_cells,
+    vote,
+)
 from plane_detector.mapping.heights import PlaneFrames
 from plane_detector.types import CameraIntrinsics
 
@@ -105,3 +114,13 @@ def test_reach():
     points = np.array([[0.45, 0.1], [3.0, 0.0]])
     assert are_near(points, cells, 0.3) == 0.5
     assert are_near(points, cells, 0.1) == 0.0
+
+
+def test_who_walked_by_is_gone_when_most_is_looked_through():
+    # Seen in two images; then of a fifth of it nothing was seen, and the rest was looked through.
+    hits = np.full((10, 10), 2, np.uint8)
+    looks = hits.copy()
+    looks[:8] += 2 * THROUGH
+    assert Cells((0, 0), hits, looks, 0.04).is_gone
+    looks[4:] = 2
+    assert not Cells((0, 0), hits, looks, 0.04).is_gone
