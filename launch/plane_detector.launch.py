@@ -60,7 +60,8 @@ OVERRIDES = ('depth_source', 'depth_model', 'image_transport', 'max_side', 'came
 # What their text is turned into, where the parameter is no text.
 READ = {**dict.fromkeys(SWITCHES, IS_ON.get), 'max_side': int, 'camera_height': float,
         'gravity': lambda text: [float(number) for number in re.findall(r'[-+.\de]+', text)]}
-# The topics of drivers as their documentation names them; depth is registered to the image.
+# The topics of drivers, not tried with the devices: of Orbbec as its documentation names them, of
+# the others as users' launch files do; the pages named are where to check. Depth is registered.
 # QoS needs no entry: the inputs take the reliability that the driver offers.
 CAMERAS = {
     # github.com/IntelRealSense/realsense-ros, README: align_depth.enable:=true.

@@ -26,9 +26,9 @@ NOISES = (0.0, 0.002, 0.004, 0.007, 0.01)
 
 
 def samples(make_scene: Callable[[np.random.Generator], Scene],
-            seeds: range) -> tuple[np.ndarray, np.ndarray]:
-    """Return features (n, 3) of the planes found in scenes, and whether each is correct (n,)."""
-    features, matched = [], []
+            seeds: range) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return features (n, 3) and confidences (n,) of planes, and whether each is correct."""
+    features, confidences, matched = [], [], []
     for seed in tqdm(seeds, make_scene.__name__, leave=False):
         rng = np.random.default_rng(seed)
         scene = make_scene(rng)
@@ -42,7 +42,8 @@ def samples(make_scene: Callable[[np.random.Generator], Scene],
             deviations_rad = np.sqrt(found.planes.normal_variances)
             features.append(np.stack([np.ones(len(shares)), np.log(shares), np.log(
                 np.maximum(deviations_rad, MIN_TILT_RAD))], axis=1))
-    return np.concatenate(features), np.array(matched)
+            confidences.append(found.planes.confidences)
+    return np.concatenate(features), np.concatenate(confidences), np.array(matched)
 
 
 def reliability(confidence: np.ndarray, matched: np.ndarray) -> str:
@@ -62,12 +63,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> None:
     """Print the fitted weights, and the reliability of those in use on unseen scenes."""
-    features, matched = (np.concatenate(part) for part in zip(
+    features, _, matched = (np.concatenate(part) for part in zip(
         *(samples(make_scene, FIT_SEEDS) for make_scene in SCENES), strict=True))
     fit = LogisticRegression(C=10.0, fit_intercept=False).fit(features, matched)
     emit(f'Fitted weights {np.round(fit.coef_[0], 2)}, in use {CONFIDENCE_WEIGHTS}.')
     for make_scene in SCENES:
-        features, matched = samples(make_scene, CHECK_SEEDS)
-        confidence = 1 / (1 + np.exp(-features @ np.array(CONFIDENCE_WEIGHTS)))
+        _, confidence, matched = samples(make_scene, CHECK_SEEDS)
         emit(f'### {make_scene.__name__}, seeds {CHECK_SEEDS[0]} to {CHECK_SEEDS[-1]}',
              reliability(confidence, matched))
