@@ -185,7 +185,8 @@ def test_the_search_looks_at_the_stop_before_every_pass(monkeypatch):
 
 # Valid values of settings whose type and range say too little.
 VALUES = {'scale.gravity': (0.0, 1.0, 0.0), 'shapes.types': 'sphere',
-          'scale.imu_to_camera': (1.0, 0.0, 0.0, 0.0)}
+          'scale.imu_to_camera': (1.0, 0.0, 0.0, 0.0),
+          'ground.ignore_box': (0.0, 0.0, 0.0, 1.0, 1.0, 1.0)}
 
 
 def live_settings():

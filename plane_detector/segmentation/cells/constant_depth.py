@@ -91,7 +91,7 @@ def without_constants(depth_m: np.ndarray, noise_floor: Noise) -> np.ndarray:
 def _frequent_values(depth_m: np.ndarray) -> np.ndarray:
     """Return the values that fill a large share of the places and may be constants."""
     places = depth_m[:-1:_STRIDE, :-1:_STRIDE]
-    is_equal = ((places == depth_m[1::_STRIDE, :-1:_STRIDE])
+    is_equal = (np.isfinite(places) & (places == depth_m[1::_STRIDE, :-1:_STRIDE])
                 & (places == depth_m[:-1:_STRIDE, 1::_STRIDE]))
     least = max(MIN_SHARE * places.size, 1)
     if np.count_nonzero(is_equal) < least:
@@ -107,7 +107,8 @@ def _frequent_values(depth_m: np.ndarray) -> np.ndarray:
                         (np.s_[1:], np.s_[:-1]), (np.s_[:-1], np.s_[1:])):
         one, other = places[here], places[there]
         is_border = (one == values[index[here]]) & (other != one) & np.isfinite(other)
-        near = is_border & (np.abs(other - one) <= MIN_JUMP * one)
+        with np.errstate(invalid='ignore'):  # infinite beside infinite
+            near = is_border & (np.abs(other - one) <= MIN_JUMP * one)
         border += np.bincount(index[here][is_border], minlength=len(values))
         attached += np.bincount(index[here][near], minlength=len(values))
     return values[(attached <= 2 * MAX_ATTACHED_SHARE * border) | (counts == counts.max())]

@@ -114,7 +114,7 @@ def wall_with_joints(depth_of_joints_m, width_px):
 def test_joints_belong_to_their_wall_if_they_are_shallow(depth_of_joints_m, belongs):
     depth_m, is_joint = wall_with_joints(depth_of_joints_m, 3)
     labels = segment_planes(depth_m, JOINTED).labels
-    assert (labels[~is_joint] == 0).mean() > 0.98
+    assert (labels[~is_joint] == 0).mean() > 0.96
     share = (labels[is_joint] == 0).mean()
     assert share > 0.9 if belongs else share < 0.3
 
