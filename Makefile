@@ -29,15 +29,14 @@ demo: $(STAMP)
 	@$(RUN) -m plane_detector.tools.demo \
 	    $(foreach name,IMAGES FX FY CX CY FOV MODEL OUTPUT,$(call option,$(name)))
 
-# In two processes, which two cores take six minutes for; with TESTS=... only these, in one.
-CORE_LOG := $(shell mktemp -u)
+# In two processes, which take six minutes on two cores; with TESTS=... only these, in one.
 test: $(STAMP)
 ifdef TESTS
 	@$(RUN) -m pytest $(TESTS)
 else
-	@$(RUN) -m pytest test --ignore=test/ros --ignore=test/tools > $(CORE_LOG) 2>&1 & core=$$!; \
+	@log=$$(mktemp); $(RUN) -m pytest test --ignore=test/ros --ignore=test/tools > $$log 2>&1 & core=$$!; \
 	$(RUN) -m pytest test/ros test/tools; code=$$?; \
-	wait $$core || code=$$?; cat $(CORE_LOG); rm -f $(CORE_LOG); exit $$code
+	wait $$core || code=$$?; cat $$log; rm -f $$log; exit $$code
 endif
 
 lint: $(STAMP)

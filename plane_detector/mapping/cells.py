@@ -135,17 +135,6 @@ class Cells:
             looks[top:top + rows, left:left + columns] = self.looks
         return Cells(tuple(low.tolist()), hits, looks, self.size_m)
 
-    def trimmed(self) -> Cells:
-        """Return the cells without empty rows and columns at the border."""
-        rows, columns = np.flatnonzero(self.looks.any(axis=1)), np.flatnonzero(
-            self.looks.any(axis=0))
-        if not len(rows):
-            return Cells.none(self.size_m)
-        top, left = int(rows[0]), int(columns[0])
-        inner = slice(top, rows[-1] + 1), slice(left, columns[-1] + 1)
-        return Cells((self.low[0] + left, self.low[1] + top), self.hits[inner].copy(),
-                     self.looks[inner].copy(), self.size_m)
-
 
 @dataclass(frozen=True)
 class View:

@@ -77,7 +77,7 @@ def heights_of(frames: PlaneFrames, planes: Planes, index: np.ndarray,
     ----------
     frames : PlaneFrames
         M of them.
-    planes : FoundPlanes
+    planes : Planes
         In the frame that the origins are in.
     index : (M,) int
         The plane for each frame; it must not be perpendicular to the frame.

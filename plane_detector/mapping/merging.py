@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -82,7 +83,8 @@ def _are_one(larger: MapPlane, smaller: MapPlane, up: np.ndarray) -> bool:
     if squared_misfits(frame, heights, covariances)[0] >= GATE or not smaller.cells.count:
         return False
     flat_m = smaller.cells.middles_m()
-    flat_m = larger.flat(smaller.points(flat_m[::-(-len(flat_m) // _CONTACT_POINTS)]))
+    step = math.ceil(len(flat_m) / _CONTACT_POINTS)
+    flat_m = larger.flat(smaller.points(flat_m[::step]))
     misfit = heights[0] - larger.coefficients
     distance_m = abs(np.column_stack([flat_m, np.ones(len(flat_m))]) @ misfit).mean()
     return (distance_m < _MOST_DISTANCE_M

@@ -11,6 +11,7 @@ weights.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -65,7 +66,7 @@ def fit_measured_depth(disparity: np.ndarray, sensor_depth_m: np.ndarray, *,
     index = np.flatnonzero(both)
     if len(index) < MIN_POINTS:
         return _refused(f'{len(index)} points of measured depth, {MIN_POINTS} are needed')
-    index = index[::-(-len(index) // MAX_POINTS)]
+    index = index[::math.ceil(len(index) / MAX_POINTS)]
     inverse_m = 1.0 / sensor_depth_m.ravel()[index].astype(np.float64)
     values = disparity.ravel()[index].astype(np.float64)
     alpha, beta = (_median_line(inverse_m, values) if has_shift

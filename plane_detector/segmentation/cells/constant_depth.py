@@ -26,7 +26,7 @@ from plane_detector.segmentation.cells.noise import Noise, estimate_noise
 # chosen: field cases have .24 and .43; half the smallest plane.
 MIN_SHARE = 0.01
 # Depth around a constant differs by more than this. Steps of quantised depth are smaller: those
-# of a Kinect are .03 at 8 m.
+# of a Kinect are .03 at 8 m. chosen: above that.
 MIN_JUMP = 0.05
 # chosen: a mask may have the depth of the floor at a few places of its border; the front of a box
 # that stands on the floor has it along a fifth.
@@ -107,10 +107,10 @@ def _frequent_values(depth_m: np.ndarray) -> np.ndarray:
                         (np.s_[1:], np.s_[:-1]), (np.s_[:-1], np.s_[1:])):
         one, other = places[here], places[there]
         is_border = (one == values[index[here]]) & (other != one) & np.isfinite(other)
-        with np.errstate(invalid='ignore'):  # infinite beside infinite
-            near = is_border & (np.abs(other - one) <= MIN_JUMP * one)
-        border += np.bincount(index[here][is_border], minlength=len(values))
-        attached += np.bincount(index[here][near], minlength=len(values))
+        one, other, at = one[is_border], other[is_border], index[here][is_border]
+        near = np.abs(other - one) <= MIN_JUMP * one
+        border += np.bincount(at, minlength=len(values))
+        attached += np.bincount(at[near], minlength=len(values))
     return values[(attached <= 2 * MAX_ATTACHED_SHARE * border) | (counts == counts.max())]
 
 
