@@ -14,9 +14,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import cv2
 import numpy as np
 
+from plane_detector.compilation import kernel
 from plane_detector.geometry.disparity import to_disparity, zero_filled
 from plane_detector.segmentation.cells.grid import DisparityImage, build_cell_grid
 from plane_detector.segmentation.cells.noise import Noise, estimate_noise
@@ -98,7 +98,7 @@ def _frequent_values(depth_m: np.ndarray) -> np.ndarray:
         return np.empty(0, depth_m.dtype)
     values, counts = np.unique(places[is_equal], return_counts=True)
     values, counts = values[counts >= least], counts[counts >= least]
-    if not len(values):
+    if len(values) < 2:  # the most frequent one stays
         return values
     # In quantised depth there may be dozens, and most places beside theirs have the next step.
     border, attached = np.zeros(len(values)), np.zeros(len(values))
@@ -116,23 +116,62 @@ def _frequent_values(depth_m: np.ndarray) -> np.ndarray:
 
 def _unmeasured(depth_m: np.ndarray, value: float) -> np.ndarray:
     """Return where a value is a constant, (H, W) bool: all of a frequent one, or pieces apart."""
-    same = depth_m == value
     if not _is_one_of_many(depth_m, value):
-        return same
-    count, pieces = cv2.connectedComponents(same.astype(np.uint8), connectivity=4)
-    square = np.ones((2 * _BORDER_PX + 1,) * 2, np.uint8)
-    # A pixel beside two pieces counts for one of them.
-    beside = cv2.dilate(pieces.astype(np.float32), square).astype(np.int32)
-    beside[same | ~np.isfinite(depth_m)] = 0
-    is_attached = np.abs(depth_m - value) <= MIN_JUMP * value
-    border = np.bincount(beside.ravel(), minlength=count)
-    attached = np.bincount(beside[is_attached], minlength=count)
+        return depth_m == value
+    return _pieces_apart(np.ascontiguousarray(depth_m), value, MIN_SHARE * depth_m.size)
+
+
+@kernel("boolean[:, ::1](Array(float32, 2, 'C', readonly=True), float32, float64)")
+def _pieces_apart(depth_m, value, least_px):
+    """Return the connected pieces (H, W) that stand apart; none if all of these are small."""
+    height, width = depth_m.shape
+    found = np.zeros((height, width), np.bool_)
+    pieces, pixels = np.zeros((height, width), np.int32), np.empty(depth_m.size, np.int32)
+    sizes, count, done = [], 0, 0
+    for v in range(height):
+        for u in range(width):
+            if depth_m[v, u] != value or pieces[v, u]:
+                continue
+            first, piece = count, len(sizes) + 1
+            pieces[v, u], pixels[count], count = piece, v * width + u, count + 1
+            while done < count:
+                y, x = pixels[done] // width, pixels[done] % width
+                done += 1
+                for side in range(4):
+                    h, w = y + (side == 0) - (side == 1), x + (side == 2) - (side == 3)
+                    if (0 <= h < height and 0 <= w < width and depth_m[h, w] == value
+                            and not pieces[h, w]):
+                        pieces[h, w], pixels[count], count = piece, h * width + w, count + 1
+            sizes.append(count - first)
+    if max(sizes) < least_px:
+        return found
+    border, attached = np.zeros(len(sizes) + 1, np.int64), np.zeros(len(sizes) + 1, np.int64)
+    beside, near = np.zeros((height, width), np.int32), np.float32(MIN_JUMP) * value
+    for pixel in pixels[:count]:  # in the order of the pieces
+        y, x = pixel // width, pixel % width
+        piece = pieces[y, x]
+        if (0 < y < height - 1 and 0 < x < width - 1 and pieces[y - 1, x] and pieces[y, x - 1]
+                and pieces[y + 1, x] and pieces[y, x + 1]):
+            continue  # what is beside it is beside one of these
+        for h in range(max(y - _BORDER_PX, 0), min(y + _BORDER_PX + 1, height)):
+            for w in range(max(x - _BORDER_PX, 0), min(x + _BORDER_PX + 1, width)):
+                z, before = depth_m[h, w], beside[h, w]
+                if z != value and before != piece and abs(z) < np.inf:
+                    is_near = abs(z - value) <= near
+                    if before:  # a pixel beside two pieces counts for one of them
+                        border[before] -= 1
+                        attached[before] -= is_near
+                    border[piece] += 1
+                    attached[piece] += is_near
+                    beside[h, w] = piece
     is_apart = attached <= MAX_ATTACHED_SHARE * border
-    is_apart[0] = False
-    sizes = np.bincount(pieces.ravel(), minlength=count)
-    if not (is_apart & (sizes >= MIN_SHARE * depth_m.size)).any():
-        return np.zeros(depth_m.shape, bool)
-    return is_apart[pieces]
+    for k in range(1, len(border)):
+        if is_apart[k] and sizes[k - 1] >= least_px:
+            for pixel in pixels[:count]:
+                y, x = pixel // width, pixel % width
+                found[y, x] = is_apart[pieces[y, x]]
+            break
+    return found
 
 
 def _is_one_of_many(depth_m: np.ndarray, value: float) -> bool:
