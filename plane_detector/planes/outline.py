@@ -99,19 +99,23 @@ def all_polygons(labels: np.ndarray, ends: np.ndarray, intrinsics: CameraIntrins
 
     """
     outlines = []
-    for index, of_plane in enumerate(ends):
-        rows = np.flatnonzero(of_plane[:, 1] >= 0)
-        if not len(rows):
-            outlines.append([])
-            continue
-        top, bottom, left = int(rows[0]), rows[-1] + 1, int(of_plane[rows, 0].min())
-        mask = labels[top:bottom, left:of_plane[rows, 1].max() + 1] == index
-        outlines.append(_simple_outlines(mask, (top, left)))
+    for index, (top, bottom, left, right) in enumerate(_boxes(ends).tolist()):
+        mask = labels[top:bottom, left:right] == index
+        outlines.append(_simple_outlines(mask, (top, left)) if mask.size else [])
     corners_m = iter(_on_planes(
         [corners_px for of_plane in outlines for corners_px, _ in of_plane],
         planes, np.repeat(np.arange(len(planes)), [len(one) for one in outlines]), intrinsics))
     return tuple(tuple(Polygon(next(corners_m), is_hole) for _, is_hole in of_plane)
                  for of_plane in outlines)
+
+
+def _boxes(ends: np.ndarray) -> np.ndarray:
+    """Return first row, last row + 1, first column, last column + 1 of each plane, (K, 4)."""
+    has = ends[:, :, 1] >= 0
+    top, bottom = has.argmax(axis=1), ends.shape[1] - has[:, ::-1].argmax(axis=1)
+    left = np.where(has, ends[:, :, 0], np.iinfo(np.int32).max).min(axis=1)
+    return np.column_stack([top, np.where(has.any(axis=1), bottom, top), left,
+                            ends[:, :, 1].max(axis=1) + 1])
 
 
 def _on_planes(pixels: Sequence[np.ndarray], planes: Planes, of_plane: np.ndarray,

@@ -4,14 +4,13 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from copy import copy
-from itertools import islice
+from itertools import chain
 from typing import Any, NamedTuple
 
 import numpy as np
-from geometry_msgs.msg import Point, Vector3
+from geometry_msgs.msg import Point, Pose, Vector3
 from rclpy.duration import Duration
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
@@ -51,43 +50,48 @@ def markers_to_msg(frame: DetectedFrame) -> MarkerArray:
 
     The first marker deletes all that were shown before, also those of an earlier node.
     """
-    found = frame.detection
     blank = Marker(header=frame.target_header,
                    lifetime=Duration(seconds=frame.settings.marker_lifetime).to_msg())
-    markers = [_marker(blank, action=Marker.DELETEALL)]
-    for plane, outlines in zip(found.planes, _outlines(frame), strict=True):
-        markers += _plane_markers(frame, blank, plane, outlines)
-    return MarkerArray(markers=[*markers, *_shape_markers(frame, blank)])
+    return MarkerArray(markers=[_marker(blank, action=Marker.DELETEALL),
+                                *_plane_markers(frame, blank), *_shape_markers(frame, blank)])
 
 
-def _plane_markers(frame: DetectedFrame, blank: Marker, plane: Plane,
-                   outlines: Sequence[list[Point]]) -> Iterator[Marker]:
-    label, colour = plane.label, _colour(frame, plane.label)
-    line_width_m = _LINE_WIDTH * math.hypot(*plane.centroid_m)
-    if outlines:  # none if the plane is too narrow
-        # A strip for each outline has half the points, but a marker costs as much as 25 points.
-        yield _marker(blank, ns='outline', id=label, type=Marker.LINE_LIST, color=colour,
-                      scale=Vector3(x=line_width_m), points=[
-                          end for around in outlines for k in range(len(around))
-                          for end in (around[k - 1], around[k])])
-    arrow_m = np.stack([plane.centroid_m,
-                        plane.centroid_m + arrow_length_m(plane) * plane.normal])
-    yield _marker(blank, ns='normal', id=label, type=Marker.ARROW, color=colour,
-                  scale=Vector3(x=line_width_m, y=3 * line_width_m),
-                  points=_points(frame.placed(arrow_m)))
-    caption = plane_caption(plane, _middle_m(plane, frame), frame.detection.scale_method)
-    yield _marker(blank, ns='caption', id=label, type=Marker.TEXT_VIEW_FACING, color=_WHITE,
-                  scale=Vector3(z=caption.height_m), text=caption.text,
-                  pose=messages.pose_msg(frame.placed(caption.position_m)))
+def _plane_markers(frame: DetectedFrame, blank: Marker) -> Iterator[Marker]:
+    planes = frame.detection.planes
+    widths_m = (_LINE_WIDTH * planes.distances_m).tolist()
+    lengths_m = np.minimum(_ARROW_LENGTH * planes.distances_m,
+                           _LARGEST_ARROW * np.sqrt(planes.areas_m2))
+    tips_m = planes.centroids_m + lengths_m[:, None] * planes.normals
+    arrows = _points(frame.placed(np.hstack([planes.centroids_m, tips_m]).reshape(-1, 3)))
+    captions = _captions(frame)
+    middles = _points(frame.placed(captions.positions_m))
+    for k, (label, sides) in enumerate(zip(planes.labels.tolist(), _sides(frame), strict=True)):
+        colour = _colour(frame, label)
+        if sides:  # none if the plane is too narrow
+            # A strip for each outline has half the points, but a marker costs as much as 25.
+            yield _marker(blank, ns='outline', id=label, type=Marker.LINE_LIST, color=colour,
+                          scale=Vector3(x=widths_m[k]), points=sides)
+        yield _marker(blank, ns='normal', id=label, type=Marker.ARROW, color=colour,
+                      scale=Vector3(x=widths_m[k], y=3 * widths_m[k]),
+                      points=arrows[2 * k:2 * k + 2])
+        yield _marker(blank, ns='caption', id=label, type=Marker.TEXT_VIEW_FACING, color=_WHITE,
+                      scale=Vector3(z=captions.heights_m[k]), text=captions.texts[k],
+                      pose=Pose(position=middles[k]))
 
 
-def _outlines(frame: DetectedFrame) -> list[list[list[Point]]]:
-    """Return the corners of all outlines of each plane, lifted from it."""
+def _sides(frame: DetectedFrame) -> list[list[Point]]:
+    """Return the ends of all sides of the outlines of each plane, lifted from it."""
     corners_m = [polygon.corners_m for of_plane in frame.camera_polygons for polygon in of_plane]
-    corners = iter(_points(frame.placed(
-        (1 - _LIFTED_BY) * np.concatenate([np.zeros((0, 3)), *corners_m]))))
-    return [[list(islice(corners, len(polygon.corners_m))) for polygon in of_plane]
-            for of_plane in frame.camera_polygons]
+    corners = _points(frame.placed(
+        (1 - _LIFTED_BY) * np.concatenate([np.zeros((0, 3)), *corners_m])))
+    sides, first = [], 0
+    for of_plane in frame.camera_polygons:
+        sides.append([])
+        for polygon in of_plane:
+            around = corners[first:first + len(polygon.corners_m)]
+            first += len(around)
+            sides[-1] += chain.from_iterable(zip([around[-1], *around[:-1]], around, strict=True))
+    return sides
 
 
 def _shape_markers(frame: DetectedFrame, blank: Marker) -> Iterator[Marker]:
@@ -151,24 +155,18 @@ def _colour(frame: DetectedFrame, label: int, alpha: float = 1.0) -> ColorRGBA:
 def _points(points_m: np.ndarray) -> list[Point]:
     points = []
     for x_m, y_m, z_m in np.asarray(points_m).tolist():
-        point = Point()  # given to the constructor, the numbers take twice as long
-        point.x, point.y, point.z = x_m, y_m, z_m
+        point = Point.__new__(Point)  # its constructor takes three times as long
+        point._x, point._y, point._z, point._check_fields = x_m, y_m, z_m, False
         points.append(point)
     return points
 
 
-class Caption(NamedTuple):
-    """The text of a plane, its centre in the frame of the camera, and its height."""
+class Captions(NamedTuple):
+    """The texts of K planes, their centres (K, 3) in the frame of the camera, their heights."""
 
-    text: str
-    position_m: np.ndarray
-    height_m: float
-
-
-def arrow_length_m(plane: Plane) -> float:
-    """Return the length of the arrow along the normal."""
-    return min(_ARROW_LENGTH * math.hypot(*plane.centroid_m),
-               _LARGEST_ARROW * math.sqrt(plane.area_m2))
+    texts: list[str]
+    positions_m: np.ndarray
+    heights_m: list[float]
 
 
 def plane_name(plane: Plane) -> str:
@@ -176,28 +174,27 @@ def plane_name(plane: Plane) -> str:
     return f'{plane.label} {plane.plane_class.readable}'
 
 
-def plane_caption(plane: Plane, middle_m: np.ndarray, scale_method: str) -> Caption:
+def _captions(frame: DetectedFrame) -> Captions:
     """
-    Return label, class and d of a plane as a text at one of its points.
+    Return label, class and d of each plane as a text where the plane is widest in the image.
 
     The text faces the viewer. It is lifted along the normal by as much as it would reach into the
     plane, seen from where the camera is.
     """
-    unit = '' if scale_method == RELATIVE else ' m'
-    text = f'{plane_name(plane)}, d {plane.offset_m:.2f}{unit}'
-    distance_m = math.hypot(*middle_m)
-    height_m = min(_TEXT_HEIGHT * distance_m, _LARGEST_TEXT_HEIGHT * math.sqrt(plane.area_m2))
-    half_m = _BOX * height_m / 2 * np.array([_ADVANCE * len(text), 1.0])
-    lift_m = min(float(abs(plane.normal[:2]) @ half_m) + _LIFTED_BY * distance_m,
-                 _FARTHEST_LIFT * distance_m)
-    return Caption(text, middle_m + lift_m * plane.normal, height_m)
-
-
-def _middle_m(plane: Plane, frame: DetectedFrame) -> np.ndarray:
-    """Return the point where a plane is widest in the image, else its centroid."""
-    place, camera = frame.label_places.get(plane.label), frame.intrinsics
-    if place is None:
-        return plane.centroid_m
-    z_m = float(frame.detection.depth_m[place.row, place.column])
-    return z_m * np.array([(place.column - camera.cx) / camera.fx,
-                           (place.row - camera.cy) / camera.fy, 1.0])
+    planes, camera = frame.detection.planes, frame.intrinsics
+    unit = '' if frame.detection.scale_method == RELATIVE else ' m'
+    texts = [f'{plane_name(plane)}, d {plane.offset_m:.2f}{unit}' for plane in planes]
+    middles_m = planes.centroids_m.copy()
+    for k, label in enumerate(planes.labels.tolist()):
+        if (place := frame.label_places.get(label)) is not None:
+            z_m = float(frame.detection.depth_m[place.row, place.column])
+            middles_m[k] = (z_m * (place.column - camera.cx) / camera.fx,
+                            z_m * (place.row - camera.cy) / camera.fy, z_m)
+    distances_m = np.sqrt((middles_m**2).sum(axis=1))
+    heights_m = np.minimum(_TEXT_HEIGHT * distances_m,
+                           _LARGEST_TEXT_HEIGHT * np.sqrt(planes.areas_m2))
+    widths_m = _ADVANCE * heights_m * np.array([len(text) for text in texts])
+    lifts_m = np.minimum(
+        _BOX / 2 * (abs(planes.normals[:, 0]) * widths_m + abs(planes.normals[:, 1]) * heights_m)
+        + _LIFTED_BY * distances_m, _FARTHEST_LIFT * distances_m)
+    return Captions(texts, middles_m + lifts_m[:, None] * planes.normals, heights_m.tolist())
