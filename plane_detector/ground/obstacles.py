@@ -42,7 +42,10 @@ def _is_flying(depth_m, v, u, dv, du, width, error):
     last_v, last_u = depth_m.shape[0] - 1, depth_m.shape[1] - 1
     if not (dv <= v <= last_v - dv and du <= u <= last_u - du):
         return False
-    rises, steps = depth_m[v + dv, u + du] > depth_m[v, u], 0
+    before, z, after = depth_m[v - dv, u - du], depth_m[v, u], depth_m[v + dv, u + du]
+    if not (before < z < after or before > z > after):
+        return False  # most pixels: no slope
+    rises, steps = after > z, 0
     for side in range(-1, 2, 2):
         y, x = v, u
         while True:

@@ -127,12 +127,13 @@ def _pieces_apart(depth_m, value, least_px):
     height, width = depth_m.shape
     found = np.zeros((height, width), np.bool_)
     pieces, pixels = np.zeros((height, width), np.int32), np.empty(depth_m.size, np.int32)
-    sizes, count, done = [], 0, 0
+    sizes = np.zeros(depth_m.size // 2 + 2, np.int32)  # of each piece; the first one is 1
+    piece = count = done = largest = 0
     for v in range(height):
         for u in range(width):
             if depth_m[v, u] != value or pieces[v, u]:
                 continue
-            first, piece = count, len(sizes) + 1
+            piece, first = piece + 1, count
             pieces[v, u], pixels[count], count = piece, v * width + u, count + 1
             while done < count:
                 y, x = pixels[done] // width, pixels[done] % width
@@ -142,13 +143,14 @@ def _pieces_apart(depth_m, value, least_px):
                     if (0 <= h < height and 0 <= w < width and depth_m[h, w] == value
                             and not pieces[h, w]):
                         pieces[h, w], pixels[count], count = piece, h * width + w, count + 1
-            sizes.append(count - first)
-    if max(sizes) < least_px:
+            sizes[piece] = count - first
+            largest = max(largest, count - first)
+    if largest < least_px:
         return found
-    border, attached = np.zeros(len(sizes) + 1, np.int64), np.zeros(len(sizes) + 1, np.int64)
+    border, attached = np.zeros(piece + 1, np.int64), np.zeros(piece + 1, np.int64)
     beside, near = np.zeros((height, width), np.int32), np.float32(MIN_JUMP) * value
-    for pixel in pixels[:count]:  # in the order of the pieces
-        y, x = pixel // width, pixel % width
+    for i in range(count):  # in the order of the pieces
+        y, x = pixels[i] // width, pixels[i] % width
         piece = pieces[y, x]
         if (0 < y < height - 1 and 0 < x < width - 1 and pieces[y - 1, x] and pieces[y, x - 1]
                 and pieces[y + 1, x] and pieces[y, x + 1]):
@@ -164,14 +166,13 @@ def _pieces_apart(depth_m, value, least_px):
                     border[piece] += 1
                     attached[piece] += is_near
                     beside[h, w] = piece
-    is_apart = attached <= MAX_ATTACHED_SHARE * border
-    for k in range(1, len(border)):
-        if is_apart[k] and sizes[k - 1] >= least_px:
-            for pixel in pixels[:count]:
-                y, x = pixel // width, pixel % width
-                found[y, x] = is_apart[pieces[y, x]]
-            break
-    return found
+    is_any = False
+    for i in range(count):
+        y, x = pixels[i] // width, pixels[i] % width
+        piece = pieces[y, x]
+        found[y, x] = attached[piece] <= MAX_ATTACHED_SHARE * border[piece]
+        is_any |= found[y, x] and sizes[piece] >= least_px
+    return found if is_any else np.zeros((height, width), np.bool_)
 
 
 def _is_one_of_many(depth_m: np.ndarray, value: float) -> bool:
