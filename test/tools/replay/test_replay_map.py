@@ -8,13 +8,16 @@ import shutil
 import numpy as np
 import pytest
 from bags import messages_of, read_bag, write_bag
+from node_helpers import send, start
 from replay_helpers import CAMERA, camera_messages, stamp_s, time_ns
-from ros_helpers import FRAME_ID, cloud_array
+from ros_helpers import FRAME_ID, cloud_array, transform_msg
 from rosbags.typesys import Stores, get_typestore
 from sensor_msgs.msg import PointCloud2
+from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
 
 from plane_detector.evaluation.scenes.walks import walk, with_errors
+from plane_detector.ros.inputs.transforms import FrameTransforms, TransformBuffer
 
 TYPES = get_typestore(Stores.ROS2_JAZZY).types
 IMAGES = 8
@@ -34,7 +37,7 @@ def tf_message(pose, stamp_ns):
 
 @pytest.fixture(scope='module')
 def recorded(tmp_path_factory):
-    """Return a bag of a walk with drifting poses, these poses, and the last scene."""
+    """Return a bag of a walk with drifting poses, these poses, and the scenes."""
     rng = np.random.default_rng(4)
     walked = walk('box', rng, 40)
     scenes = [walked.scene(k, CAMERA, rng) for k in range(IMAGES)]
@@ -42,7 +45,7 @@ def recorded(tmp_path_factory):
     bag = write_bag(tmp_path_factory.mktemp('map') / 'walk', [
         *(('/tf', time_ns(k), tf_message(poses[k], round(stamp_s(k) * 1e9)))
           for k in range(IMAGES)), *camera_messages(scenes)])
-    return bag, poses, scenes[-1]
+    return bag, poses, scenes
 
 
 def rows_of(target):
@@ -50,7 +53,7 @@ def rows_of(target):
 
 
 def test_the_last_pose_sees_the_planes_of_the_map(recorded, replay, tmp_path):
-    bag, poses, scene = recorded
+    bag, poses, (*_, scene) = recorded
     file = tmp_path / 'map.json'
     code, target, text = replay(bag, *WITH_MAP, '--map', str(file))
     assert code == 0, text
@@ -80,6 +83,25 @@ def test_the_last_pose_sees_the_planes_of_the_map(recorded, replay, tmp_path):
     markers = messages_of(target, '/plane_detector/map/markers', MarkerArray)[-1].markers
     assert {marker.id for marker in markers[1:]} == set(rows['label'])
     assert json.loads(file.read_text())['frame'] == 'odom'
+
+
+def test_the_map_of_a_bag_is_that_of_the_live_node(recorded, replay, robot, tmp_path):
+    bag, poses, scenes = recorded
+    from_bag, live, buffer = tmp_path / 'bag.json', tmp_path / 'live.json', TransformBuffer()
+    code, _, text = replay(bag, *WITH_MAP, '--map', str(from_bag))
+    assert code == 0, text
+    start(robot, transforms=FrameTransforms(buffer), **{
+        'depth.source': 'topic', 'target_frame': 'odom', 'map.enabled': True,
+        'map.file': str(live)})
+    for k, (pose, scene) in enumerate(zip(poses, scenes, strict=True)):
+        buffer.add(transform_msg('odom', FRAME_ID, pose.translation_m.tolist(),
+                                 pose.quaternion.tolist(), stamp_s(k)))
+        send(robot, scene, stamp_s(k), depth=True)
+        robot.wait_for('planes', k + 1)
+    saved = robot.call(Trigger, '/plane_detector/map/save')
+    assert saved.success, saved.message
+    assert len(json.loads(live.read_text())['planes']) >= 3
+    assert live.read_text() == from_bag.read_text()
 
 
 def test_a_map_goes_on_from_a_file(recorded, replay, tmp_path):
