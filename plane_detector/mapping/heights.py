@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from plane_detector.compilation import kernel
+from plane_detector.geometry.rigid_transform import RigidTransform
 from plane_detector.types import Planes
 
 
@@ -105,6 +106,33 @@ def squared_misfits(frames: PlaneFrames, heights: np.ndarray, covariances: np.nd
     return _squared(heights - frames.coefficients, covariances + frames.covariances)
 
 
+def normal_equations(frames: PlaneFrames, planes: Planes, index: np.ndarray,
+                     camera: RigidTransform, centre_m: np.ndarray, robust: float
+                     ) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Return information (6, 6) and gradient (6,) of a pose, by the misfits of its planes.
+
+    Parameters
+    ----------
+    frames : PlaneFrames
+        M of them.
+    planes : Planes
+        In the frame of the camera.
+    index : (M,) int
+        The plane for each frame.
+    camera : RigidTransform
+        The pose; its change is a small rotation about ``centre_m`` (3,), then a shift.
+    centre_m : (3,) float64
+    robust : float
+        The weight of a misfit halves at this chi-squared.
+
+    """
+    return _normal_equations(
+        planes.normals[index], planes.offsets_m[index], planes.covariances[index],
+        camera.rotation, camera.translation_m, frames.origins_m, frames.axes,
+        frames.coefficients, frames.covariances, centre_m, robust)
+
+
 _V, _M, _T = 'float64[:, ::1]', 'float64[:, :, ::1]', 'float64[::1]'
 
 
@@ -149,19 +177,58 @@ def _heights_of(origins, axes, normals, offsets, covariances, error, centre):
     return heights, result, jacobians
 
 
+@kernel(f'void({_V}, {_V})', is_short=True)
+def _whiten(covariance, columns):
+    """Replace columns (3, N) by L^-1 times them, for the factor L of a covariance (3, 3)."""
+    c = covariance
+    l11 = np.sqrt(c[0, 0])
+    l21, l31 = c[1, 0] / l11, c[2, 0] / l11
+    l22 = np.sqrt(c[1, 1] - l21 * l21)
+    l32 = (c[2, 1] - l21 * l31) / l22
+    l33 = np.sqrt(c[2, 2] - l31 * l31 - l32 * l32)
+    for k in range(columns.shape[1]):
+        columns[0, k] /= l11
+        columns[1, k] = (columns[1, k] - l21 * columns[0, k]) / l22
+        columns[2, k] = (columns[2, k] - l31 * columns[0, k] - l32 * columns[1, k]) / l33
+
+
 @kernel(f'{_T}({_V}, {_M})', is_short=True)
 def _squared(misfits, covariances):
-    squared = np.empty(len(misfits))
+    squared, column = np.empty(len(misfits)), np.empty((3, 1))
     for m in range(len(misfits)):
-        c, (x, y, z) = covariances[m], misfits[m]
-        # By the factors L of the covariance: the squared length of L^-1 x.
-        l11 = np.sqrt(c[0, 0])
-        l21, l31 = c[1, 0] / l11, c[2, 0] / l11
-        l22 = np.sqrt(c[1, 1] - l21 * l21)
-        l32 = (c[2, 1] - l21 * l31) / l22
-        l33 = np.sqrt(c[2, 2] - l31 * l31 - l32 * l32)
-        first = x / l11
-        second = (y - l21 * first) / l22
-        third = (z - l31 * first - l32 * second) / l33
-        squared[m] = first * first + second * second + third * third
+        column[:, 0] = misfits[m]
+        _whiten(covariances[m], column)
+        squared[m] = column[0, 0] ** 2 + column[1, 0] ** 2 + column[2, 0] ** 2
     return squared
+
+
+@kernel(f'Tuple(({_V}, {_T}))({_V}, {_T}, {_M}, {_V}, {_T}, {_V}, {_M}, {_V}, {_M}, {_T}, '
+        'float64)', is_short=True)
+def _normal_equations(normals, offsets, covariances, rotation, translation, origins, axes,
+                      coefficients, errors, centre, robust):
+    # The planes under this pose, see Planes.moved.
+    count, to_map = len(normals), np.zeros((4, 4))
+    to_map[:3, :3], to_map[3, 3] = rotation, 1.0
+    moved, shifted, moved_errors = np.empty((count, 3)), np.empty(count), np.empty((count, 4, 4))
+    for j in range(3):
+        to_map[3, j] = -(translation[0] * rotation[0, j] + translation[1] * rotation[1, j]
+                         + translation[2] * rotation[2, j])
+    for m in range(count):
+        moved[m] = rotation @ normals[m]
+        shifted[m] = offsets[m] - moved[m] @ translation
+        moved_errors[m] = to_map @ covariances[m] @ to_map.T
+    heights, height_errors, jacobians = _heights_of(
+        origins, axes, moved, shifted, moved_errors, np.zeros((6, 6)), centre)
+    information, gradient, columns = np.zeros((6, 6)), np.zeros(6), np.empty((3, 7))
+    for m in range(count):
+        columns[:, :6] = jacobians[m]
+        columns[:, 6] = coefficients[m] - heights[m]
+        _whiten(height_errors[m] + errors[m], columns)
+        squared = columns[0, 6] ** 2 + columns[1, 6] ** 2 + columns[2, 6] ** 2
+        for i in range(3):
+            for j in range(6):
+                weighted = columns[i, j] / (1 + squared / robust)
+                gradient[j] += weighted * columns[i, 6]
+                for k in range(6):
+                    information[j, k] += weighted * columns[i, k]
+    return information, gradient

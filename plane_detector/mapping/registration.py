@@ -21,11 +21,7 @@ import numpy as np
 
 from plane_detector.config import MapConfig
 from plane_detector.geometry.rigid_transform import RigidTransform
-from plane_detector.mapping.heights import (
-    PlaneFrames,
-    heights_of,
-    squared_misfits,
-)
+from plane_detector.mapping.heights import PlaneFrames, normal_equations
 from plane_detector.types import Planes
 
 # chosen: errors of the translation move a plane at this distance as far as those of the rotation.
@@ -140,16 +136,10 @@ def register(prediction: Prediction, found: Planes, frames: PlaneFrames, index: 
     centre_m, total = prediction.camera.translation_m, np.zeros(6)
     transform = prediction.transform
     for _ in range(ROUNDS):
-        moved = found.moved(transform.after(prediction.pose))
-        heights, covariances, jacobians = heights_of(frames, moved, index, centre_m=centre_m)
-        squared = squared_misfits(frames, heights, covariances)
-        weights = np.linalg.inv(covariances + frames.covariances)
-        weights /= (1 + squared / _ROBUST)[:, None, None]
-        weighted = jacobians.transpose(0, 2, 1) @ weights
-        misfits = (frames.coefficients - heights)[:, :, None]
-        information = prior + (weighted @ jacobians).sum(axis=0)
-        gradient = (weighted @ misfits).sum(axis=0)[:, 0] - prior @ total
-        step = np.linalg.solve(information, gradient)
+        information, gradient = normal_equations(
+            frames, found, index, transform.after(prediction.pose), centre_m, _ROBUST)
+        information += prior
+        step = np.linalg.solve(information, gradient - prior @ total)
         total = total + step
         transform = _moved(transform, step, centre_m)
     error = np.linalg.inv(information)
