@@ -16,9 +16,11 @@ import cv2
 import numpy as np
 
 from plane_detector.compilation import kernel
+from plane_detector.geometry.projection import pixel_rays
 from plane_detector.geometry.rigid_transform import RigidTransform
 from plane_detector.mapping.heights import PlaneFrames
-from plane_detector.types import CameraIntrinsics
+from plane_detector.planes.region_samples import MIN_COSINE
+from plane_detector.types import CameraIntrinsics, Planes
 
 # A cell is part of the plane if this share of its looks were hits.
 # tuned: benchmark map --first-seed 0.
@@ -62,17 +64,17 @@ class Cells:
     @property
     def count(self) -> int:
         """Number of cells that are part of the plane."""
-        return int(self._sums[0])
+        return int(self.sums[0])
 
     @property
     def hit_share(self) -> float:
         """Share of the looks at these cells that were hits."""
-        return self._sums[3] / max(self._sums[4], 1)
+        return self.sums[3] / max(self.sums[4], 1)
 
     @property
     def is_gone(self) -> bool:
         """Whether hardly any of the cells that were hit is left."""
-        return self.count < max(_FEWEST, _LEFT_SHARE * self._sums[5])
+        return self.count < max(_FEWEST, _LEFT_SHARE * self.sums[5])
 
     @property
     def area_m2(self) -> float:
@@ -82,13 +84,13 @@ class Cells:
     @property
     def centroid_m(self) -> np.ndarray:
         """Mean of these cells, (2,) along u and v; 0 if there is none."""
-        count, columns, rows = self._sums[:3]
+        count, columns, rows = self.sums[:3]
         if not count:
             return np.zeros(2)
         return self.size_m * (np.array([columns, rows]) / count + self.low + 0.5)
 
     @cached_property
-    def _sums(self) -> tuple[int, int, int, int, int, int]:
+    def sums(self) -> tuple[int, int, int, int, int, int]:
         """Number of these cells, sums of their columns, rows, hits and looks; number ever hit."""
         return _sums(self.hits, self.looks)
 
@@ -245,6 +247,18 @@ def vote(view: View, steps: np.ndarray, cells: Cells, is_own: np.ndarray,
     return Cells(cells.low, hits, looks, cells.size_m)
 
 
+def sampled(labels: np.ndarray, planes: Planes, intrinsics: CameraIntrinsics, rows: int
+            ) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Return points (N, 3) of K planes, and where those of each begin and end, (K + 1,) int.
+
+    They are where the rays of the pixels of so many rows meet a plane, then its centroid.
+    """
+    ray_x, ray_y = pixel_rays(intrinsics)
+    return _sampled(np.ascontiguousarray(labels, np.int32), max(1, len(labels) // rows), ray_x,
+                    ray_y, planes.normals, planes.offsets_m, planes.centroids_m)
+
+
 def are_near(flat_m: np.ndarray, cells: Cells, reach_m: float) -> float:
     """Return the share of points (N, 2), along u and v, with a seen cell within reach."""
     low = np.array(cells.low, float)
@@ -362,6 +376,30 @@ def _sums(hits, looks):
                 count, columns, rows = count + 1, columns + j, rows + i
                 hit, looked = hit + int(hits[i, j]), looked + int(looks[i, j])
     return count, columns, rows, hit, looked, ever
+
+
+@kernel(f'Tuple((float64[:, ::1], int64[::1]))({_LABELS}, int64, float32[::1], float32[::1], '
+        'float64[:, ::1], float64[::1], float64[:, ::1])', is_short=True)
+def _sampled(labels, step, ray_x, ray_y, normals, offsets, centroids):
+    count, ends = len(offsets), np.ones(len(offsets) + 1, np.int64)  # with the centroids
+    ends[0] = 0
+    for row in range(step // 2, labels.shape[0], step):
+        for column in range(step // 2, labels.shape[1], step):
+            if 0 <= labels[row, column] < count:
+                ends[labels[row, column] + 1] += 1
+    ends = np.cumsum(ends)
+    points, place = np.empty((ends[-1], 3)), ends[:-1].copy()
+    for row in range(step // 2, labels.shape[0], step):
+        for column in range(step // 2, labels.shape[1], step):
+            k = labels[row, column]
+            if 0 <= k < count:
+                x, y = float(ray_x[column]), float(ray_y[row])
+                facing = -(x * normals[k, 0] + y * normals[k, 1] + normals[k, 2])
+                along = offsets[k] / max(facing, MIN_COSINE)
+                points[place[k]] = x * along, y * along, along
+                place[k] += 1
+    points[ends[1:] - 1] = centroids
+    return points, ends
 
 
 @kernel('float64(float64[:, ::1], uint8[:, ::1], uint8[:, ::1], int64)', is_short=True)

@@ -96,15 +96,20 @@ def as_planes(planes: Sequence[MapPlane]) -> Planes:
     """
     frames = frames_of(planes)
     normals, offsets_m, covariances = frames.as_planes()
-    counts = np.array([plane.cells.count for plane in planes], np.int64)
+    sums = np.array([plane.cells.sums for plane in planes], np.int64).reshape(-1, 6).T
+    sizes_m = np.array([plane.cells.size_m for plane in planes])
+    lows = np.array([plane.cells.low for plane in planes]).reshape(-1, 2)
     middles = np.ones((len(planes), 3))  # u, v and the height there
-    middles[:, :2] = np.array([plane.cells.centroid_m for plane in planes]).reshape(-1, 2)
+    middles[:, :2] = (sums[1:3] / np.maximum(sums[0], 1)).T
+    middles[:, :2] = sizes_m[:, None] * (middles[:, :2] + lows + 0.5)
+    middles[sums[0] == 0, :2] = 0.0
     middles[:, 2] = (frames.coefficients * middles).sum(axis=1)
+    votes = np.array([plane.votes for plane in planes]).reshape(-1, CLASSES)
     return Planes(
-        normals, offsets_m, frames.origins_m + (middles[:, None] @ frames.axes)[:, 0], counts,
-        np.zeros(len(planes)), np.array([plane.cells.area_m2 for plane in planes], float),
-        covariances, np.array([plane.cells.hit_share for plane in planes], float),
-        np.full(len(planes), np.nan), np.array([plane.plane_class for plane in planes], np.uint8),
+        normals, offsets_m, frames.origins_m + (middles[:, None] @ frames.axes)[:, 0], sums[0],
+        np.zeros(len(planes)), sums[0] * sizes_m**2, covariances,
+        sums[3] / np.maximum(sums[4], 1), np.full(len(planes), np.nan),
+        votes.argmax(axis=1).astype(np.uint8),
         np.array([plane.label for plane in planes], np.int64), np.zeros(len(planes), np.int64))
 
 

@@ -45,26 +45,27 @@ def merge_touched(planes: Sequence[MapPlane], touched: np.ndarray, up: np.ndarra
     known, gone = {plane.label: plane for plane in planes}, {}
     table = as_planes(planes)
     normals, offsets, centroids = table.normals, table.offsets_m, table.centroids_m
-    labels = table.labels.tolist()
-    for label in sorted(set(touched.tolist()) & set(labels)):
-        k = labels.index(label)
-        away_m = np.maximum(abs(centroids @ normals[k] + offsets[k]),
-                            abs(normals @ centroids[k] + offsets))
-        close = (normals @ normals[k] > _MIN_COSINE) & (away_m < 2 * _MOST_DISTANCE_M)
-        for other in [labels[i] for i in np.flatnonzero(close) if i != k]:
-            if label not in known or other not in known:
-                continue
-            larger, smaller = sorted((known[label], known[other]),
-                                     key=lambda plane: -plane.cells.count)
-            if not _are_one(larger, smaller, up):
-                continue
-            known[larger.label] = _joined(larger, smaller)
-            del known[smaller.label]
-            gone[smaller.label] = larger.label
-            for plane in known.values():
-                if smaller.label in plane.apart:
-                    known[plane.label] = replace(plane, apart=plane.apart - {smaller.label}
-                                                 | {larger.label})
+    own = np.flatnonzero(np.isin(table.labels, touched))
+    own = own[np.argsort(table.labels[own])]
+    away_m = np.maximum(abs(normals[own] @ centroids.T + offsets[own, None]),
+                        abs(centroids[own] @ normals.T + offsets))
+    close = (normals[own] @ normals.T > _MIN_COSINE) & (away_m < 2 * _MOST_DISTANCE_M)
+    close[np.arange(len(own)), own] = False
+    for k, other_k in np.argwhere(close).tolist():
+        label, other = int(table.labels[own[k]]), int(table.labels[other_k])
+        if label not in known or other not in known:
+            continue
+        larger, smaller = sorted((known[label], known[other]),
+                                 key=lambda plane: -plane.cells.count)
+        if not _are_one(larger, smaller, up):
+            continue
+        known[larger.label] = _joined(larger, smaller)
+        del known[smaller.label]
+        gone[smaller.label] = larger.label
+        for plane in known.values():
+            if smaller.label in plane.apart:
+                known[plane.label] = replace(plane, apart=plane.apart - {smaller.label}
+                                             | {larger.label})
     # A chain of merges ends at the last one.
     return tuple(known.values()), {old: _last(gone, old) for old in gone}
 

@@ -6,13 +6,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
 from plane_detector.compilation import load_once
 from plane_detector.config import MapConfig
-from plane_detector.geometry.projection import pixel_rays
 from plane_detector.geometry.rigid_transform import RigidTransform
 from plane_detector.mapping.association import (
     apart_in_image,
@@ -21,7 +21,7 @@ from plane_detector.mapping.association import (
     fitting,
     visible,
 )
-from plane_detector.mapping.cells import Cells, View, vote
+from plane_detector.mapping.cells import Cells, View, sampled, vote
 from plane_detector.mapping.heights import PlaneFrames, heights_of, with_pose_error
 from plane_detector.mapping.map_file import SavedMap, read_map, write_map
 from plane_detector.mapping.map_plane import CLASSES, MapPlane, as_planes, frames_of, new_axes
@@ -34,7 +34,6 @@ from plane_detector.mapping.registration import (
     register,
 )
 from plane_detector.planes.placed import PlacedDetection
-from plane_detector.planes.region_samples import MIN_COSINE
 from plane_detector.scale.estimate import RELATIVE
 from plane_detector.types import CameraIntrinsics, Detection, Planes
 
@@ -234,7 +233,7 @@ class PlaneMap:
             frames = all_frames.picked(index)
             sizes = image.found.areas_m2 / (2 * self.config.cell)**2
             pairs = compare(frames, moved, counts, sizes, correction.error, camera.translation_m)
-            points_m = [camera.points(points) for points in image.points_m]
+            points_m = _split(camera.points(image.points_m), image.ends)
             fit = fitting(pairs, [self.planes[k] for k in index], points_m, self.up)
             taken = assign(fit, image.apart, len(moved))
             if not is_last:
@@ -291,6 +290,8 @@ class PlaneMap:
 
     def _new(self, attempt: _Attempt, image: _Image, fresh: np.ndarray) -> list[MapPlane]:
         """Return planes of the map for found planes that are not in it yet."""
+        if not len(fresh):
+            return []
         found = attempt.found
         normals = found.normals[fresh]
         middles_m = np.array([attempt.points_m[k].mean(axis=0) for k in fresh]).reshape(-1, 3)
@@ -307,11 +308,12 @@ class PlaneMap:
     def _vote(self, planes: list[MapPlane], attempt: _Attempt, image: _Image,
               taken: np.ndarray, labels: np.ndarray) -> None:
         """Vote the cells of the planes in view, in place."""
-        in_view = np.unique(np.append(attempt.index, taken[taken >= 0]))
-        cells = []
-        for index in in_view.tolist():
+        in_view = sorted({*attempt.index.tolist(), *taken[taken >= 0].tolist()})
+        cells, changed = [], []
+        for index in in_view:
             plane, own = planes[index], np.flatnonzero(taken == index)
             cells.append(plane.cells)
+            changed.append({})
             if not len(own):
                 continue
             flat_m = plane.flat(np.concatenate([attempt.points_m[k] for k in own]))
@@ -319,13 +321,13 @@ class PlaneMap:
             border_m = 0.05 * (high_m - low_m) + 2 * self.config.cell
             cells[-1] = plane.cells.grown(low_m - border_m, high_m + border_m)
             others = set(labels[image.beside[own].any(axis=0)].tolist()) - {0, plane.label}
-            planes[index] = replace(plane, views=plane.views + 1, last_seen_s=image.stamp_s,
-                                    apart=plane.apart | others)
+            changed[-1] = {'views': plane.views + 1, 'last_seen_s': image.stamp_s,
+                           'apart': plane.apart | others}
         steps = attempt.view.steps(
             frames_of([planes[k] for k in in_view]),
             np.array([one.low for one in cells]).reshape(-1, 2), self.config.cell)
-        for k, index in enumerate(in_view.tolist()):
-            planes[index] = replace(planes[index], cells=vote(
+        for k, index in enumerate(in_view):
+            planes[index] = replace(planes[index], **changed[k], cells=vote(
                 attempt.view, steps[k], cells[k], taken == index, _TOLERANCE_M))
 
     def _weight(self, before: Correction) -> float:
@@ -351,7 +353,8 @@ class _Image:
     found: Planes
     apart: np.ndarray  # (K, K) bool, not one plane, whatever the pose is
     beside: np.ndarray  # (K, K) bool, of these those on the same side
-    points_m: list[np.ndarray]  # (N, 3) of each found plane: some pixels' rays on it
+    points_m: np.ndarray  # (N, 3) on the found planes, one after another
+    ends: np.ndarray  # (K + 1,) int, where those of each begin and end
     noise: float  # standard deviation of the disparity, 1/m
 
     @classmethod
@@ -361,7 +364,7 @@ class _Image:
         found = found_planes(detection, intrinsics, systematic)
         apart, same_side = apart_in_image(found)
         return cls(placed, found, apart, apart & same_side,
-                   _sampled(detection.labels, found, intrinsics),
+                   *sampled(detection.labels, found, intrinsics, _ROWS),
                    float(np.hypot(detection.disparity_noise, systematic)))
 
     @property
@@ -417,19 +420,5 @@ def found_planes(detection: Detection, intrinsics: CameraIntrinsics, systematic:
                    + jacobian @ jacobian.transpose(0, 2, 1))
 
 
-def _sampled(labels: np.ndarray, found: Planes, intrinsics: CameraIntrinsics
-             ) -> list[np.ndarray]:
-    """Return points (N, 3) of each plane: its centroid, and where rays of some pixels meet it."""
-    step = max(1, len(labels) // _ROWS)
-    some = labels[step // 2::step, step // 2::step]
-    ray_x, ray_y = (ray[step // 2::step] for ray in pixel_rays(intrinsics))
-    rows, columns = np.nonzero(some >= 0)
-    plane = some[rows, columns]
-    rays = np.column_stack([ray_x[columns], ray_y[rows], np.ones(len(rows))])
-    facing = -(rays * found.normals[plane]).sum(axis=1)
-    points_m = rays * (found.offsets_m[plane] / np.maximum(facing, MIN_COSINE))[:, None]
-    plane = np.append(plane, np.arange(len(found)))
-    points_m = np.concatenate([points_m, found.centroids_m])
-    order = np.argsort(plane, kind='stable')
-    ends = np.searchsorted(plane[order], np.arange(len(found) + 1))
-    return [points_m[order[begin:end]] for begin, end in zip(ends[:-1], ends[1:], strict=True)]
+def _split(values: np.ndarray, ends: np.ndarray) -> list[np.ndarray]:
+    return [values[begin:end] for begin, end in pairwise(ends.tolist())]
