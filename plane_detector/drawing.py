@@ -147,21 +147,22 @@ def tint(rgb: np.ndarray, labels: np.ndarray, colours: np.ndarray | None = None,
         "Array(uint8, 2, 'C', readonly=True), float64)")
 def _tinted(rgb, labels, colours, share):
     """Return the image with label k mixed with colour k - 1; the colours repeat."""
-    result = np.empty(rgb.shape, np.uint8)
-    of_colour = np.uint32(round(256 * share))
-    added, last = np.zeros(3, np.uint32), 0
+    result, count, of_colour = np.empty(rgb.shape, np.uint8), len(colours), round(256 * share)
+    # Of no label and of each colour: what is added, and to how many 256ths of the image.
+    mix = np.zeros((count + 1, 4), np.uint32)
+    mix[0, 3] = 256
+    for k in range(count):
+        mix[k + 1, 3] = 256 - of_colour
+        for channel in range(3):
+            mix[k + 1, channel] = 128 + of_colour * colours[k, channel]
     for v in range(labels.shape[0]):
         for u in range(labels.shape[1]):
-            k = labels[v, u]
-            if k > 0 and k != last:
-                last = k
-                for channel in range(3):
-                    added[channel] = 128 + of_colour * colours[(k - 1) % len(colours), channel]
+            k = max(labels[v, u], 0)
+            if k > count:
+                k = (k - 1) % count + 1
             for channel in range(3):
-                value = rgb[v, u, channel]
-                if k > 0:
-                    value = np.uint8(((256 - of_colour) * value + added[channel]) >> 8)
-                result[v, u, channel] = value
+                result[v, u, channel] = np.uint8(
+                    (mix[k, 3] * rgb[v, u, channel] + mix[k, channel]) >> np.uint32(8))
     return result
 
 

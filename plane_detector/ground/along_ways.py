@@ -192,7 +192,7 @@ def mark_ground(depth_m, labels, lines, ways, ray_x, ray_y, planes, down, is_gro
     dx, dy = ray_x[min(1, width - 1)] - ray_x[0], ray_y[min(1, height - 1)] - ray_y[0]
     for i in range(len(lines)):
         u0, v0, du, dv, start, step, w, _, low, high = _line(lines, i)
-        following, is_dense = start + (w + 1) * step, step < 1 << FRACTION_BITS
+        following = start + (w + 1) * step
         origin, stride = v0 * width + u0, dv * width + du
         x0, x_step, y0, y_step = ray_x[u0], du * dx, ray_y[v0], dv * dy
         last, slant, s0, d = np.int64(-1), zero, zero, zero
@@ -251,13 +251,6 @@ def mark_ground(depth_m, labels, lines, ways, ray_x, ray_y, planes, down, is_gro
                         is_hidden[w] = True
                     elif way >= interval:
                         below[w], ahead[w] = z * sight, far
-            if is_dense:  # the other ways in this pixel
-                while following >> FRACTION_BITS <= at:
-                    following += step
-                    reference[w + 1], is_hidden[w + 1] = reference[w], is_hidden[w]
-                    last_seen[w + 1] = last_seen[w]
-                    below[w + 1], ahead[w + 1] = below[w], ahead[w]
-                    w += 1
     return ground.reshape(height, width), heights.reshape(height, width)
 
 
@@ -291,16 +284,18 @@ def mark_drops(depth_m, labels, ground, lines, ways, ray_x, ray_y, planes, down,
                 farthest[0], farthest[1] = max(farthest[0], u), max(farthest[1], v)
     for i in range(len(lines)):
         u0, v0, du, dv, start, step, first, last, low, high = _line(lines, i)
+        least, most = nearest[dv] + BORDER_PX, farthest[dv] - BORDER_PX
         for w in range((first + 1) // 2 * 2, last, 2):
             a = min(max((start + w * step) >> FRACTION_BITS, low), high - 1)
             u, v = u0 + du * a, v0 + dv * a
-            if (u if du else v) >= nearest[dv] + BORDER_PX and (
-                    u if du else v) <= farthest[dv] - BORDER_PX:
+            if least <= (u if du else v) <= most:
                 way_end[w] = i
             k = labels[v, u]
             if k >= 0 and k == end_k[w] and ground[v, u]:
                 end[w], end_z[w], lower[w], mixed[w] = i, 0.0, 0, 0
                 continue
+            if end_k[w] < 0 and not ground[v, u]:
+                continue  # no ground has begun
             z = np.float64(depth_m[v, u])
             if not (z >= MIN_DEPTH_M and z < np.inf):
                 continue

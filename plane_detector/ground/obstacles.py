@@ -36,6 +36,13 @@ def _is_beside(z, other, width, error):
     return abs(z - other) <= max(z, other) * (width + max(z, other) * error)
 
 
+@kernel('boolean(float32, float32, float32, float32, float32)')
+def _is_steep(before, z, after, width, error):
+    """Return whether depth rises or falls from pixel to pixel by more than on a surface."""
+    return ((before < z < after or before > z > after)
+            and not _is_beside(z, before, width, error) and not _is_beside(z, after, width, error))
+
+
 @kernel(f'boolean({_DEPTH}, int64, int64, int64, int64, float32, float32)')
 def _is_flying(depth_m, v, u, dv, du, width, error):
     """Return whether depth rises at a pixel steeply, over a few pixels, to another surface."""
@@ -89,8 +96,12 @@ def mark_obstacles(depth_m, labels, ground, focal_px, error):
             if labels[v, u] >= 0:
                 found[v, u], is_open = True, False
                 continue
-            if (_is_flying(depth_m, v, u, 0, 1, steepest, error)
-                    or _is_flying(depth_m, v, u, 1, 0, steepest, error)):
+            left, right = depth_m[v, max(u - 1, 0)], depth_m[v, min(u + 1, width - 1)]
+            upper, lower = depth_m[max(v - 1, 0), u], depth_m[min(v + 1, height - 1), u]
+            if (_is_steep(left, z, right, steepest, error)
+                    and _is_flying(depth_m, v, u, 0, 1, steepest, error)
+                    or _is_steep(upper, z, lower, steepest, error)
+                    and _is_flying(depth_m, v, u, 1, 0, steepest, error)):
                 is_open = False
                 continue
             found[v, u] = True
