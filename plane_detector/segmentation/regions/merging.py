@@ -22,6 +22,7 @@ ends.
 
 from __future__ import annotations
 
+import math
 from functools import partial
 from typing import NamedTuple
 
@@ -154,19 +155,21 @@ def _folds(graph: RegionGraph, i: int, j: int, bending: float) -> bool:
     """Return whether the angle between two planes is larger than that of pieces of one plane."""
     normals, variance = [], 0.0
     for k in (i, j):
-        normal, sums = np.array(normal_of(*graph.planes[k], graph.lens)), graph.sums[k]
+        normal, sums = np.array(normal_of(*graph.planes[k], graph.lens)), graph.sums[k].tolist()
         x, y = sums[X] / sums[N], sums[Y] / sums[N]
         # The slope of a plane has the variance of its means over the spread of its cells, which
         # is least across a narrow region. Both share the systematic part; of smooth noise
         # CORRELATED_CELLS have the same error, of the rough noise of sensors fewer.
-        narrow = np.linalg.eigvalsh([[sums[XX] / sums[N] - x * x, 0.0],
-                                     [sums[XY] / sums[N] - x * y, sums[YY] / sums[N] - y * y]])[0]
+        xx, xy = sums[XX] / sums[N] - x * x, sums[XY] / sums[N] - x * y
+        yy = sums[YY] / sums[N] - y * y
+        narrow = (xx + yy) / 2 - math.hypot((xx - yy) / 2, xy)
         slope2 = (CORRELATED_CELLS * sums[VARIANCE] / (bending**2 * sums[N])**2
                   / max(narrow, MIN_VARIANCE))
-        variance += slope2 * graph.lens[0] ** 2 / (normal @ normal)
-        normals.append(normal / np.linalg.norm(normal))
-    fold_deg = np.degrees(np.arccos(np.clip(normals[0] @ normals[1], -1, 1)))
-    return fold_deg > MAX_HIDDEN_FOLD_DEG + FOLD_DEVIATIONS * np.degrees(variance**0.5)
+        square = float(normal @ normal)
+        variance += slope2 * float(graph.lens[0]) ** 2 / square
+        normals.append(normal / math.sqrt(square))
+    fold_deg = math.degrees(math.acos(min(max(float(normals[0] @ normals[1]), -1.0), 1.0)))
+    return fold_deg > MAX_HIDDEN_FOLD_DEG + FOLD_DEVIATIONS * math.degrees(variance**0.5)
 
 
 def merge_bowed_walls(graph: RegionGraph) -> RegionGraph:
