@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import cv2
 import numpy as np
@@ -144,7 +145,12 @@ def panel(low: Sequence[float], high: Sequence[float], front: Mask) -> Thing:
 
 def outside(low: Sequence[float], high: Sequence[float]) -> Mask:
     """Return a mask that leaves a hole between these shares of the edges."""
-    return lambda u, v: ~((u > low[0]) & (u < high[0]) & (v > low[1]) & (v < high[1]))
+    return partial(_is_outside, low, high)
+
+
+def _is_outside(low: Sequence[float], high: Sequence[float], u: np.ndarray, v: np.ndarray
+                ) -> np.ndarray:
+    return ~((u > low[0]) & (u < high[0]) & (v > low[1]) & (v < high[1]))
 
 
 def disc(radius: float, z: float) -> Thing:
