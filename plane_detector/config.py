@@ -272,7 +272,7 @@ class MapConfig(Settings, section='map'):
         0.005, 'standard deviation of the error of a pose that is new in each image; of its '
         'rotation, half as many radians', 'm', 0.0, 1.0)
     pose_drift: float = fixed_setting(
-        0.005, 'standard deviation of the drift of the poses after one metre or radian; it grows '
+        0.01, 'standard deviation of the drift of the poses after one metre or radian; it grows '
         'with the root of the way', '', 0.0, 1.0)
 
 

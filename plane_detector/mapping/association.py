@@ -40,13 +40,15 @@ class Pairs:
     new: np.ndarray  # (M,) int
     squared: np.ndarray  # (M,) chi-squared of their difference
     shared: np.ndarray  # (M,) share of the cells in view, of the map's or of the image's plane
+    overlap: np.ndarray  # (M,) intersection over union of these cells
 
     def __len__(self) -> int:
         return len(self.old)
 
     def picked(self, index: np.ndarray) -> Pairs:
         """Return some pairs."""
-        return Pairs(self.old[index], self.new[index], self.squared[index], self.shared[index])
+        return Pairs(self.old[index], self.new[index], self.squared[index], self.shared[index],
+                     self.overlap[index])
 
 
 def visible(planes: Sequence[MapPlane], frames: PlaneFrames, view: View
@@ -105,9 +107,10 @@ def compare(frames: PlaneFrames, found: Planes, counts: np.ndarray, sizes: np.nd
     old, new = np.nonzero(frames.axes[:, 2] @ found.normals.T > SAME_SIDE)
     picked = frames.picked(old)
     heights, covariances, _ = heights_of(picked, found, new, error, camera_m)
-    smaller = np.minimum(counts[old, -1], sizes[new])
+    both, in_view = counts[old, new], counts[old, -1]
+    smaller = np.minimum(in_view, sizes[new])
     return Pairs(old, new, squared_misfits(picked, heights, covariances),
-                 counts[old, new] / np.maximum(smaller, 1))
+                 both / np.maximum(smaller, 1), both / np.maximum(in_view + sizes[new] - both, 1))
 
 
 def fitting(pairs: Pairs, planes: Sequence[MapPlane], points_m: Sequence[np.ndarray],
@@ -153,7 +156,7 @@ def assign(pairs: Pairs, apart: np.ndarray, count: int) -> np.ndarray:
     the image shows apart never get the same plane.
     """
     taken = np.full(count, -1)
-    score = pairs.shared * np.exp(-pairs.squared / GATE) - 1e-3 * pairs.squared
+    score = pairs.overlap * np.exp(-pairs.squared / GATE) - 1e-3 * pairs.squared
     for k in np.argsort(-score, kind='stable').tolist():
         old, new = pairs.old[k], pairs.new[k]
         if taken[new] < 0 and not (apart[new] & (taken == old)).any():

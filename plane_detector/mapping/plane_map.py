@@ -4,10 +4,12 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
+from statistics import median
 
 import numpy as np
 
@@ -29,6 +31,7 @@ from plane_detector.mapping.merging import merge_touched
 from plane_detector.mapping.registration import (
     Correction,
     Prediction,
+    heights_by_others,
     motion,
     predict,
     register,
@@ -45,8 +48,10 @@ _LEAST_SYSTEMATIC = 1.5e-4
 # .3 % of the pixels, has about fifteen.
 _ROWS = 60
 FORGETTING = 0.95
-# chosen: of averages over some twenty images: jitter of the poses, systematic error of the sensor.
+# chosen: of the average of the jitter of the poses, over some twenty images.
 SMOOTHING = 0.95
+# chosen: images of which the median is the systematic error of the sensor.
+_RECENT = 20
 # A view counts fully if the camera has moved this far since the last image.
 _MOVED_M, _TURNED_RAD = 0.05, np.radians(3.0)
 # A plane becomes one of the map if its normal is known within this.
@@ -114,7 +119,7 @@ class PlaneMap:
         self.up = np.array([0.0, 0.0, 1.0])
         self._jump_images = 0
         self.jitter_m = 0.0
-        self._systematic: float | None = None
+        self._systematic: deque[float] = deque(maxlen=_RECENT)  # of images, 1/m
 
     def update(self, placed: PlacedDetection) -> MapUpdate:
         """
@@ -132,11 +137,9 @@ class PlaneMap:
             raise ValueError('there is no map without metres, and the scale of the depth is not '
                              'known: see scale.method')
         load_once('mapping')
-        # The systematic error belongs to the sensor; what single images show of it varies.
-        found_noise = max(placed.detection.systematic_noise, _LEAST_SYSTEMATIC)
-        share = 0.0 if self._systematic is None else SMOOTHING
-        self._systematic = share * (self._systematic or 0.0) + (1 - share) * found_noise
-        image = _Image.of(placed, self._systematic)
+        # The systematic error belongs to the sensor; single images show far too much of it.
+        self._systematic.append(placed.detection.systematic_noise)
+        image = _Image.of(placed, max(median(self._systematic), _LEAST_SYSTEMATIC))
         # 1. The pose with the carried correction.
         prediction = predict(self.correction, placed.pose, self.config)
         # 2. to 5. Planes in view, candidates, the correction by them, candidates again.
@@ -237,12 +240,12 @@ class PlaneMap:
             fit = fitting(pairs, [self.planes[k] for k in index], points_m, self.up)
             taken = assign(fit, image.apart, len(moved))
             if not is_last:
-                shown = np.flatnonzero(taken >= 0)
+                evidence, shown = np.append(index, -1)[taken], np.flatnonzero(taken >= 0)
                 correction = register(prediction, image.found, frames.picked(taken[shown]), shown)
         beside = pairs.picked((pairs.shared > _SAME_PLACE) & (taken[pairs.new] < 0))
         total = max(image.found.counts.sum(), 1)
         return _Attempt(
-            correction, view, moved, points_m, index, np.append(index, -1)[taken],
+            correction, view, moved, points_m, index, np.append(index, -1)[taken], evidence,
             float(image.found.counts[taken >= 0].sum() / total),
             float(image.found.counts[np.unique(beside.new)].sum() / total))
 
@@ -271,9 +274,9 @@ class PlaneMap:
         shown = np.flatnonzero(attempt.taken >= 0)
         old, place = np.unique(attempt.taken[shown], return_inverse=True)
         frames = frames_of([planes[k] for k in old])
-        heights, covariances, _ = heights_of(
-            frames.picked(place), attempt.found, shown, attempt.correction.error,
-            attempt.correction.camera.translation_m)
+        heights, covariances = heights_by_others(
+            attempt.correction, frames.picked(place), attempt.found, shown,
+            (attempt.taken == attempt.evidence)[shown])
         known = FORGETTING**weight * np.linalg.inv(frames.covariances)
         added = weight * np.linalg.inv(covariances)
         vectors = (known @ frames.coefficients[:, :, None])[:, :, 0]
@@ -392,6 +395,7 @@ class _Attempt:
     points_m: list[np.ndarray]
     index: np.ndarray  # (M,) int, planes of the map that are in view
     taken: np.ndarray  # (K,) int, plane of the map, -1 none
+    evidence: np.ndarray  # (K,) int, that by which the correction was found
     explained: float  # share of the pixels of the found planes
     unexplained: float  # ... and of those that do not fit although a known plane is there
 

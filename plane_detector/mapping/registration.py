@@ -21,7 +21,12 @@ import numpy as np
 
 from plane_detector.config import MapConfig
 from plane_detector.geometry.rigid_transform import RigidTransform
-from plane_detector.mapping.heights import PlaneFrames, normal_equations
+from plane_detector.mapping.heights import (
+    PlaneFrames,
+    heights_of,
+    normal_equations,
+    squared_misfits,
+)
 from plane_detector.types import Planes
 
 # chosen: errors of the translation move a plane at this distance as far as those of the rotation.
@@ -35,6 +40,8 @@ MOST_CORRECTION_M = 0.2
 """A larger correction of the camera's position raises doubts about the poses."""
 # A wide prior, for poses that have jumped: deviations of the rotation and translation.
 _JUMP = np.diag([np.radians(3.0) ** 2] * 3 + [0.15**2] * 3)
+# The first image has an exact pose; 1 micrometre keeps its covariance invertible.
+_EXACT = 1e-12 * np.eye(6)
 
 
 @dataclass(frozen=True)
@@ -131,8 +138,7 @@ def register(prediction: Prediction, found: Planes, frames: PlaneFrames, index: 
     if not len(index):
         return Correction(prediction.transform, prediction.covariance, prediction.transform,
                           prediction.drift, prediction.pose)
-    # The first image has an exact pose; 1 micrometre keeps the prior invertible.
-    prior = np.linalg.inv(prediction.covariance + 1e-12 * np.eye(6))
+    prior = np.linalg.inv(prediction.covariance + _EXACT)
     centre_m, total = prediction.camera.translation_m, np.zeros(6)
     transform = prediction.transform
     for _ in range(ROUNDS):
@@ -148,6 +154,46 @@ def register(prediction: Prediction, found: Planes, frames: PlaneFrames, index: 
     drift = prediction.drift - gain @ (prediction.covariance - error) @ gain.T
     return Correction(transform, error, _moved(prediction.transform, gain @ total, centre_m),
                       (drift + drift.T) / 2, prediction.pose)
+
+
+def heights_by_others(correction: Correction, frames: PlaneFrames, found: Planes,
+                      index: np.ndarray, is_evidence: np.ndarray
+                      ) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Return found planes as heights over those of the map, each by the pose that the others give.
+
+    A plane is no evidence of itself: with the pose that it has helped to find, it would agree with
+    the map, and the map would become surer than it is.
+
+    Parameters
+    ----------
+    correction : Correction
+    frames : PlaneFrames
+        Planes of the map, M.
+    found : Planes
+        In the frame of the map.
+    index : (M,) int
+        The found plane that is each of them.
+    is_evidence : (M,) bool
+        Whether the correction is by this pair, too.
+
+    Returns
+    -------
+    coefficients : (M, 3) float64
+    covariances : (M, 3, 3) float64
+
+    """
+    heights, alone, jacobians = heights_of(frames, found, index,
+                                           centre_m=correction.camera.translation_m)
+    weights = np.linalg.inv(alone + frames.covariances)
+    squared = squared_misfits(frames, heights, alone)
+    weights *= (is_evidence / (1 + squared / _ROBUST))[:, None, None]
+    transposed = jacobians.transpose(0, 2, 1)
+    weighted = transposed @ weights
+    errors = np.linalg.inv(np.linalg.inv(correction.error + _EXACT) - weighted @ jacobians)
+    misfits = (frames.coefficients - heights)[:, :, None]
+    steps = jacobians @ errors @ weighted @ misfits
+    return heights - steps[:, :, 0], alone + jacobians @ errors @ transposed
 
 
 def motion(before: RigidTransform, after: RigidTransform) -> tuple[float, float]:

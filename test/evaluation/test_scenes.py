@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The ground truth of rendered scenes is correct; simulated sensors err as they should."""
 
+import pickle
+
 import numpy as np
 import pytest
 
@@ -25,6 +27,7 @@ from plane_detector.evaluation.scenes.rooms import (
 from plane_detector.evaluation.scenes.sensors import KINECT_BASELINE_M, SENSORS
 from plane_detector.evaluation.scenes.shapes import shape_scene
 from plane_detector.evaluation.scenes.surfaces import block, ellipsoid, joined
+from plane_detector.evaluation.scenes.walks import walk
 from plane_detector.geometry.projection import depth_to_points
 from plane_detector.types import CameraIntrinsics
 
@@ -144,3 +147,13 @@ def test_structured_light_errs_like_a_kinect():
     # Bands in 1/km; a real wall of this size has 0.8 0.8 0.8 1.4 and a bend of 0.7 to 2.
     np.testing.assert_array_less(found[2:], [1.6, 1.2, 1.2, 3.5, 3.0])
     np.testing.assert_array_less([0.7, 0.5, 0.5, 1.0, 0.5], found[2:])
+
+
+def test_a_room_with_a_hole_in_a_wall_can_be_pickled():
+    walked = walk('doorway', np.random.default_rng(0), 2)
+    again = pickle.loads(pickle.dumps(walked))
+    shares = np.linspace(0, 1, 50)
+    for face, other in zip(walked.surfaces, again.surfaces, strict=True):
+        assert (face.corner == other.corner).all()
+        if face.mask is not None:
+            assert (face.mask(shares, shares) == other.mask(shares, shares)).all()

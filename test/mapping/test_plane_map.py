@@ -13,6 +13,7 @@ from plane_detector.config import DepthConfig
 from plane_detector.evaluation.benchmark.map import record, score
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.evaluation.scenes.walks import walk, with_errors
+from plane_detector.mapping.association import Pairs, assign
 from plane_detector.mapping.plane_map import PlacedDetection, PlaneMap
 from plane_detector.types import CameraIntrinsics
 
@@ -70,6 +71,25 @@ def test_a_standing_camera_does_not_become_sure():
     few, many = (run(images, still=True)[0] for images in (2, 40))
     for before, after in zip(few.planes, many.planes, strict=True):
         assert np.diag(after.covariance) == pytest.approx(np.diag(before.covariance), rel=0.2)
+
+
+def test_one_image_says_little_of_the_systematic_error_of_the_sensor():
+    maps = []
+    for noise in (0.0, 0.002):
+        planes = PlaneMap()
+        for k in range(5):
+            found = replace(recording().detections[k], systematic_noise=noise if k == 3 else 0.0)
+            planes.update(PlacedDetection(found, CAMERA, recording().walked.poses[k], float(k)))
+        maps.append(planes.planes)
+    for one, other in zip(*maps, strict=True):
+        assert (one.covariance == other.covariance).all()
+
+
+def test_a_wall_is_not_the_picture_that_it_covers():
+    # The wall of the map is in view with a little more than what is found of it.
+    pairs = Pairs(np.arange(2), np.zeros(2, int), np.ones(2), np.array([1.0, 0.95]),
+                  np.array([0.05, 0.9]))
+    assert assign(pairs, np.zeros((1, 1), bool), 1).tolist() == [1]
 
 
 def test_without_metres_there_is_no_map():

@@ -9,7 +9,13 @@ from plane_detector.config import MapConfig
 from plane_detector.geometry.rigid_transform import RigidTransform
 from plane_detector.mapping.heights import PlaneFrames, heights_of
 from plane_detector.mapping.map_plane import new_axes
-from plane_detector.mapping.registration import Correction, motion, predict, register
+from plane_detector.mapping.registration import (
+    Correction,
+    heights_by_others,
+    motion,
+    predict,
+    register,
+)
 from plane_detector.types import Plane, Planes
 
 NORMALS = -np.eye(3)
@@ -75,3 +81,18 @@ def test_the_prior_grows_with_the_way_and_not_with_the_rate_of_images():
 def test_motion_is_distance_and_angle():
     turn = RigidTransform.from_quaternion((0, 0, np.sin(0.1), np.cos(0.1)), (0.3, 0.4, 0))
     assert motion(RigidTransform.identity(), turn) == pytest.approx((0.5, 0.2))
+
+
+def test_a_plane_is_no_evidence_of_itself():
+    planes, frames = corner()
+    prediction = predict(standing(), RigidTransform.identity(), MapConfig())
+    for index in (np.arange(1), np.arange(3)):
+        few = frames.picked(index)
+        found = register(prediction, planes.moved(SHIFT), few, index)
+        seen = planes.moved(found.camera.after(SHIFT))
+        heights, covariances = heights_by_others(found, few, seen, index,
+                                                 np.ones(len(index), bool))
+        # Of its distance the other walls, which are at right angles to it, say nothing.
+        expected, errors, _ = heights_of(few, planes.moved(SHIFT), index, prediction.covariance)
+        assert heights[:, 2] == pytest.approx(expected[:, 2], abs=2e-3)
+        assert covariances[:, 2, 2] == pytest.approx(errors[:, 2, 2], rel=0.05)
