@@ -151,7 +151,7 @@ def _label(frame: Frame, regions: PlaneRegions,
 def _exact(frame: Frame, regions: PlaneRegions) -> tuple[np.ndarray, np.ndarray]:
     """Return pixel labels and planes of exact depth."""
     graph = merge_coplanar(frame.cells, RegionGraph.of(frame.cells, regions), None)
-    return _label_flat_regions(frame, graph, None, frame.noise.density, MIN_TURN_DEG)
+    return _label_flat_regions(frame, graph, None, MIN_TURN_DEG)
 
 
 def _measured(frame: Frame, regions: PlaneRegions,
@@ -163,10 +163,7 @@ def _measured(frame: Frame, regions: PlaneRegions,
         regions = split_at_depth_steps(frame, regions, correlation)
         regions = reassign_cells(frame, regions, correlation)
     graph = merge_coplanar(cells, RegionGraph.of(cells, regions), correlation)
-    density = (frame.noise.density if correlation is None
-               else correlation.density_within(graph.sums))
-    return _label_flat_regions(frame, graph, correlation, density,
-                            frame.config.segmentation.flatness_angle)
+    return _label_flat_regions(frame, graph, correlation, frame.config.segmentation.flatness_angle)
 
 
 def _network(frame: Frame, regions: PlaneRegions) -> tuple[np.ndarray, np.ndarray]:
@@ -177,8 +174,7 @@ def _network(frame: Frame, regions: PlaneRegions) -> tuple[np.ndarray, np.ndarra
 
 
 def _label_flat_regions(frame: Frame, graph: RegionGraph, correlation: Correlation | None,
-                     noise_density: float | np.ndarray,
-                     min_turn_deg: float) -> tuple[np.ndarray, np.ndarray]:
+                        min_turn_deg: float) -> tuple[np.ndarray, np.ndarray]:
     """Label pixels; remove curved regions last, so that no plane grows into them."""
     labels = label_pixels(frame, graph)
     if frame.kind is DepthKind.EXACT and frame.noise.is_metric:
@@ -186,7 +182,8 @@ def _label_flat_regions(frame: Frame, graph: RegionGraph, correlation: Correlati
                    frame.config.segmentation.flatness_distance)
     planes = add_small_planes(frame, labels, graph, min_turn_deg)
     max_radius_m = MAX_RADIUS_M if frame.noise.is_metric else np.inf
-    curved = find_curved(graph, noise_density, min_turn_deg, frame.noise.bending, max_radius_m)
+    curved = find_curved(graph, frame.noise.density, min_turn_deg, frame.noise.bending,
+                         max_radius_m, correlation)
     owner, joined = graph.owner, graph.planes
     if frame.noise.is_metric:
         owner, joined = join_nearly_flat(frame.cells, graph, curved, correlation,

@@ -26,8 +26,9 @@ MAX_PIXEL_VARIANCES = 4.0
 # tuned: rooms, lived-in rooms, curved scenes and real frames; not flat: at 0.7 times precision
 # -0.02, at 1.4 times 0.06 more of curved surfaces have labels at noise 0.01.
 MAX_JOINT_VARIANCES = 2.0
-# Stereo matches windows of pixels: within so many along a side the lateral noise is the same, so
-# that the mean of a cell does not average it away; a tilt of the cell does to half of that.
+# Stereo matches windows of pixels: within so many along a side the lateral noise that neighbours
+# share is the same, so that the mean of a cell does not average it away; a tilt of the cell does
+# to half of that.
 # tuned: 16 frames of today's sensors: SC .957 with 4 px in the tilt, .942 with 1 px in it, .956
 # with half in it; NYU frames .904 at 1 px, .911 to .915 from 2 to 9; ABW 12.9 from 1 to 4.
 LATERAL_WINDOW_PX = 4.0
@@ -69,7 +70,8 @@ def weigh_cells(grid: CellGrid, noise: Noise) -> WeightedCells:
     squares = (noise.mean_sigma**2, noise.slope_sigma**2, noise.pixel_sigma**2,
                noise.depth_floor_m**2, noise.disparity_floor**2,
                (noise.disparity_floor / size)**2, (noise.lateral_px / grid.width_px)**2,
-               (MAX_STEEPNESS / grid.lens[0])**2, LATERAL_WINDOW_PX**2)
+               (MAX_STEEPNESS / grid.lens[0])**2,
+               1 + noise.lateral_shared * (LATERAL_WINDOW_PX**2 - 1))
     table, is_planar = _weigh((grid.moments, grid.mean, grid.slope, grid.sparsity),
                               grid.residual_rms, grid.usable, squares,
                               12 / (grid.size_px * size) ** 2)

@@ -100,6 +100,8 @@ class Noise:
     # of the place in the image that a pixel sees. It adds to the error of a pixel as many times
     # the slope of its surface
     lateral_px: float = 0.0
+    # the share of its variance that neighbouring pixels have in common
+    lateral_shared: float = 0.0
 
     @property
     def systematic_sigma(self) -> float:
@@ -160,7 +162,8 @@ class Noise:
         """
         return Noise(self.depth_floor_m / scale, *(scale * sigma for sigma in (
             self.disparity_floor, self.source_sigma, self.mean_sigma, self.slope_sigma,
-            self.pixel_sigma)), bending=self.bending, lateral_px=self.lateral_px)
+            self.pixel_sigma)), bending=self.bending, lateral_px=self.lateral_px,
+            lateral_shared=self.lateral_shared)
 
     def at_cell_size(self, size_px: int, smaller_px: int) -> Noise:
         """
@@ -192,32 +195,71 @@ def estimate_noise(grid: CellGrid, noise_floor: Noise) -> Noise:
     cells = sample_cells(grid.usable)
     pixel_sigma = _quantile(grid.residual_rms[cells]) / _rms_quantile(grid.size_px**2 - 3)
     sparsity = grid.sparsity.take(cells, 0)
-    noise = noise_floor.from_cells((mean_sigma, slope_sigma, pixel_sigma), sparsity)
-    return replace(noise, lateral_px=_lateral_px(grid, cells, noise))
+    return noise_floor.from_cells((mean_sigma, slope_sigma, pixel_sigma), sparsity)
 
 
-def _lateral_px(grid: CellGrid, cells: np.ndarray, noise: Noise) -> float:
+def with_lateral_noise(noise: Noise, grid: CellGrid, image: DisparityImage) -> Noise:
     """
-    Return the lateral noise by what steep cells vary more than flat ones (groups, Wald 1940).
+    Return the noise with the lateral one, by what steep cells vary more than flat ones.
 
-    Steep is what the slope changes most, compared with the noise of a cell seen from the front.
-    Of the steep cells a low quantile counts, since many straddle an edge.
+    As groups compare (Wald 1940). Steep is what the slope changes most, compared with the noise
+    of a cell seen from the front, where the cells around have that slope too. Of the steep cells
+    a low quantile counts, since many straddle an edge. Neighbouring pixels along the contours of
+    the slope differ by what they do not share; curvature hardly shows there.
     """
     if noise.source_sigma > 0:
-        return 0.0
-    square = (grid.slope[cells] ** 2).sum(axis=1)
+        return noise
+    usable, columns = grid.usable.reshape(grid.shape), grid.shape[1]
+    is_inner = np.zeros_like(usable)
+    is_inner[1:-1, 1:-1] = (usable[1:-1, 1:-1] & usable[:-2, 1:-1] & usable[2:, 1:-1]
+                            & usable[1:-1, :-2] & usable[1:-1, 2:])
+    cells = sample_cells(is_inner)
+    around2 = sum(((grid.mean[cells + step, 2] - grid.mean[cells - step, 2])
+                   / (grid.mean[cells + step, axis] - grid.mean[cells - step, axis])) ** 2
+                  for axis, step in enumerate((1, columns)))
+    square = np.minimum((grid.slope[cells] ** 2).sum(axis=1), around2)
     is_seen = square < (MAX_STEEPNESS / grid.lens[0] * grid.mean[cells, 2]) ** 2
     cells, square = cells[is_seen], square[is_seen] / grid.width_px**2
     third, floor = len(cells) // 3, noise.variance_floor(grid.mean[cells, 2])
     if third == 0:
-        return 0.0
+        return noise
     order = np.argpartition(square / (floor + max(noise.pixel_sigma**2, sys.float_info.min)),
                             (third, len(cells) - third))
-    flat, steep = order[:third], order[-third:]
-    excess = grid.residual_rms[cells] ** 2 - floor
-    lateral2 = (excess[steep] - max(median(excess[flat]), 0.0)) / np.maximum(
-        square[steep], sys.float_info.min)
-    return min(max(_quantile(lateral2), 0.0) ** 0.5, MAX_LATERAL_PX)
+    ends = np.concatenate([order[:third], order[-third:]])
+    steep2 = np.maximum(square[order[-third:]], sys.float_info.min)
+
+    def lateral2(variance: np.ndarray) -> float:
+        """Return the variance of the place by that of the disparity of flat and steep cells."""
+        excess = variance - floor[ends]
+        return max(_quantile((excess[third:] - max(median(excess[:third]), 0.0)) / steep2), 0.0)
+
+    whole = lateral2(grid.residual_rms[cells[ends]] ** 2)
+    if whole == 0:
+        return noise
+    own = lateral2(_roughness(image.values, image.valid, cells[ends], grid.slope,
+                              (grid.size_px, columns, grid.width_px)))
+    return replace(noise, lateral_px=min(whole**0.5, MAX_LATERAL_PX),
+                   lateral_shared=1 - min(own / whole, 1.0))
+
+
+@kernel('float64[::1](float32[:, ::1], boolean[:, ::1], int64[::1], float64[:, ::1], '
+        'UniTuple(int64, 3))', is_short=True)
+def _roughness(disparity, valid, cells, slope, sizes):
+    """Return half the mean squared difference of neighbours along the contours of each cell."""
+    (size, columns, width_px), (height, width) = sizes, disparity.shape
+    half_square = np.zeros(len(cells))
+    for m, i in enumerate(cells):
+        top, left, total, count = i // columns * size, i % columns * size, 0.0, 0
+        along_rows = abs(slope[i, 0]) <= abs(slope[i, 1])
+        down, right = (0, 1) if along_rows else (1, 0)
+        step = slope[i, 0 if along_rows else 1] / width_px
+        for v in range(top, min(top + size, height) - down):
+            for u in range(left, min(left + size, width) - right):
+                if valid[v, u] and valid[v + down, u + right]:
+                    total += (disparity[v + down, u + right] - disparity[v, u] - step) ** 2
+                    count += 1
+        half_square[m] = total / max(2 * count, 1)
+    return half_square
 
 
 def sample_cells(is_wanted: np.ndarray) -> np.ndarray:

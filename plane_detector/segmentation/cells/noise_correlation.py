@@ -17,9 +17,15 @@ import numpy as np
 
 from plane_detector.compilation import kernel
 from plane_detector.geometry.robust import SIGMA_PER_MEDIAN, median
-from plane_detector.segmentation.cells.model import PlaneRegions, WeightedCells, residual
+from plane_detector.segmentation.cells.model import (
+    MEAN_X,
+    MEAN_Y,
+    PlaneRegions,
+    WeightedCells,
+    residual,
+)
 from plane_detector.segmentation.cells.noise import Noise
-from plane_detector.segmentation.cells.plane_fit import XX, YY, N, X, Y
+from plane_detector.segmentation.cells.plane_fit import solve_least_squares
 
 # The planes of smaller regions fit the noise itself, and their residuals are too small.
 # tuned: on rooms and lived-in rooms below seed 9000; flat from 70 to 140.
@@ -37,32 +43,28 @@ MIN_POWER, MAX_POWER = 0.5, 2.0
 # sensors, and rooms and lived-in rooms with blurred noise below seed 9000: flat from 1.4 to 1.5
 # and from 2.5 to 3.5, largest 2.5 to 3: SC of the NYU frames .907 to .927; chosen on seven of
 # them, the eighth has .931 in the mean. NYU -0.03 at 1.35; rooms of sensors -0.01 at 3.5.
-ROUGHNESS_LAGS = 1, 4, 8, 12
+ROUGHNESS_LAGS = 1, 4, 8
 SMOOTH_POWER, BENDING_PER_POWER, MAX_BENDING = 1.45, 2.5, 3.0
 # The growth at which the systematic part begins to count, and that at which all of it counts.
 # tuned: as above; flat from 0.2 to 0.3 and from 0.45 to 0.6; SC of lived-in rooms in simulated
 # stereo -0.035 from 0 to 0.35, NYU frames -0.01 to 0.8.
 MIN_GROWTH, FULL_GROWTH = 0.3, 0.6
 # Depth that a driver or a phone has filtered is as smooth between near cells as blurred noise, but
-# wanders over the image: its differences grow with a power of 1.2 of the distance from 4 to 8
-# cells and of 1.0 from 8 to 12, those of blurred noise with .1 to .5, then -.5 to -.6. From the
-# first of these powers on, in both, it has a systematic part, with the second all of it.
-# chosen: between the two; the frame of a phone has SC .722 without, .965 with it.
-# From the third on, in one of them, it is what surfaces that are bent or not yet apart leave in
-# the largest planes: 1.7 in a workshop (stereo), where noise of 10 mm joined what 3 mm keep apart.
-# tuned: 12 rooms of filtered depth of benchmark labelled: one is in pieces at 1.5, in one planes
-# are joined at 1.7.
+# wanders over the image: about a quadric in each region, which takes what curved surfaces leave,
+# its differences grow from 4 to 8 cells with a power of .8 to 1.6 of the distance, those of
+# blurred noise and of bows with .0 to .5. From the first of these powers on it has a systematic
+# part, with the second all of it.
+# tuned: 16 rooms of filtered depth of benchmark labelled, bows of .3 to 5 m radius and the frame
+# of a phone: flat from .4 to .8; SC of these rooms .908 with the growth about planes, .968 now.
+# From the third on, about planes, it is what surfaces that are not yet apart leave in the largest
+# ones: 1.7 in a workshop (stereo), where noise of 10 mm joined what 3 mm keep apart.
+# tuned: as above; SC .952 at 1.45 (one room), .963 at 1.8, where the workshop loses its planes.
 MIN_WANDERING, FULL_WANDERING, MAX_WANDERING = 0.6, 0.9, 1.6
 # The least error of whole planes, by which every sensor bends them: time of flight cameras have 3
 # to 11 mm, in waves over their range and in corners, which planes in pieces do not show any more.
 # tuned: rooms, lived-in rooms and curved scenes below seed 9000, flat from 0.004 to 0.006: SC in
 # simulated time of flight +.026, +.002 and +.054; at 0.008 .05 more of curved pixels get labels.
 LEAST_ERROR_M = 0.005
-# The share of the noise inside a region that a quadric takes for a curve, with three coefficients.
-# tuned: curved scenes, rooms and lived-in rooms below seed 9000 in simulated sensors, flat from
-# .05 to .1: in structured light .12 of the curved pixels have labels without, .07 with it. It
-# changes nothing on 26 frames labelled by hand.
-BEND_SHARE = 0.08
 # A bow of the whole image is hidden from the density, which is of the residuals.
 # tuned: as above; walls alone: without it one of twelve seen by stereo is curved; flat to 2.5.
 BOW_SHARE = 1.5
@@ -96,7 +98,8 @@ class Correlation:
         """
         labels, planes = np.ascontiguousarray(regions.labels), regions.coefficients
         is_used = in_large_regions(labels, len(planes)) & model.is_planar
-        square, *at_lags = _covariances(labels, planes, model.table, is_used).tolist()
+        residuals = _residuals(labels, planes, model.table, is_used)
+        square, *at_lags = _covariances(labels, residuals).tolist()
         if square <= 0 or noise.pixel_sigma < noise.disparity_floor:
             return None
         own = square * _bounded((noise.pixel_sigma / model.grid.size_px) ** 2 / square)
@@ -150,20 +153,16 @@ class Correlation:
         table = self.table
         return float(4 * table.sum() - 2 * (table[0].sum() + table[:, 0].sum()) + table[0, 0])
 
-    def density_within(self, sums: np.ndarray) -> np.ndarray:
+    @property
+    def of_bows(self) -> tuple[float, float, float, float, float, float]:
         """
-        Return the density (K,) with a bow, but no more than bends regions of their size by itself.
+        Return what bounds the bows of regions: a density, and the variogram (Matheron 1963).
 
-        Half across a region the noise has changed by its variogram (Matheron 1963); a quadric fits
-        a share of that. ``sums`` (K, 28) are those of the region graph.
+        At a distance of h image widths that is t[1] + t[2] (1 - exp(-t[3] (t[5] h)**t[4])).
         """
-        cells = np.maximum(sums[:, N], 1)
-        spread = (sums[:, XX] + sums[:, YY] - (sums[:, X] ** 2 + sums[:, Y] ** 2) / cells) / cells
-        # The variance along the side of a square is a twelfth of its square; x is in image widths.
-        half_side = (1.5 * np.maximum(spread, 0)) ** 0.5 * self.shape[1]
         own, decay = self._near
-        variogram = own - self.smooth * np.expm1(-decay * half_side**self.power)
-        return np.minimum(BOW_SHARE * self.density, BEND_SHARE * cells * variogram)
+        return (BOW_SHARE * self.density, own, self.smooth, decay, self.power,
+                float(self.shape[1]))
 
     @property
     def correlated_cells(self) -> float:
@@ -209,21 +208,25 @@ def bending_of(model: WeightedCells, regions: PlaneRegions, noise: Noise) -> flo
     smooth_sigma = (noise.mean_sigma**2 - own) ** 0.5
     labels = np.ascontiguousarray(regions.labels)
     is_used = in_large_regions(labels, len(regions.coefficients)) & model.is_planar
+    residuals = _residuals(labels, regions.coefficients, model.table, is_used)
 
     def log_variance(lag: int) -> float:
         """Return that of the differences without the cells' own noise; NaN if it is all."""
-        moduli = _differences(labels, regions.coefficients, model.table, is_used, lag)
+        moduli = _differences(labels, residuals, lag)
         variance = (SIGMA_PER_MEDIAN * median(moduli)) ** 2 - 2 * own if len(moduli) else 0.0
         return math.log2(variance) if variance > 0 else math.nan
 
-    near, middle, far, farthest = ROUGHNESS_LAGS
-    at_middle, at_far = log_variance(middle), log_variance(far)
+    near, middle, far = ROUGHNESS_LAGS
+    at_middle = log_variance(middle)
     power = (at_middle - log_variance(near)) / math.log2(middle / near)
-    growth = (at_far - at_middle) / math.log2(far / middle)
+    growth = (log_variance(far) - at_middle) / math.log2(far / middle)
     excess, limits = BENDING_PER_POWER * (SMOOTH_POWER - power), (MIN_GROWTH, FULL_GROWTH)
     if power >= SMOOTH_POWER:
-        beyond = (log_variance(farthest) - at_far) / math.log2(farthest / far)
-        growth = min(growth, beyond) if max(growth, beyond) < MAX_WANDERING else 0.0
+        if growth < MAX_WANDERING:
+            _remove_bows(labels, residuals, model.table, len(regions.coefficients))
+            growth = (log_variance(far) - log_variance(middle)) / math.log2(far / middle)
+        else:
+            growth = 0.0
         excess, limits = MAX_BENDING - 1, (MIN_WANDERING, FULL_WANDERING)
     if math.isnan(power + growth) or (power >= SMOOTH_POWER and growth < limits[0]):
         return 1.0
@@ -236,22 +239,49 @@ def bending_of(model: WeightedCells, regions: PlaneRegions, noise: Noise) -> flo
     return (1 + (of_smooth**2 - 1) * (smooth_sigma / noise.mean_sigma) ** 2) ** 0.5
 
 
-@kernel('float64[::1](int32[:, ::1], float64[:, ::1], float64[:, ::1], boolean[::1], int64)',
+@kernel('float64[::1](int32[:, ::1], float64[:, ::1], float64[:, ::1], boolean[::1])',
         is_short=True)
-def _differences(labels, planes, table, is_used, lag):
+def _residuals(labels, planes, table, is_used):
+    """Return the residuals of the used cells about the planes of their regions, NaN elsewhere."""
+    residuals, label = np.full(labels.size, np.nan), labels.reshape(-1)
+    for i in range(labels.size):
+        if is_used[i]:
+            k = label[i]
+            residuals[i] = residual(table, i, planes[k, 0], planes[k, 1], planes[k, 2])
+    return residuals
+
+
+@kernel('void(int32[:, ::1], float64[::1], float64[:, ::1], int64)', is_short=True)
+def _remove_bows(labels, residuals, table, count):
+    """Subtract from the residuals of each region the quadric that fits them."""
+    products, label, quadric = np.zeros((count, 7, 7)), labels.reshape(-1), np.empty((count, 7))
+    for is_fitted in (False, True):
+        for i in range(labels.size):
+            if np.isnan(residuals[i]):
+                continue
+            k, x, y = label[i], table[i, MEAN_X], table[i, MEAN_Y]
+            terms = 1.0, x, y, x * x, x * y, y * y, residuals[i]
+            for row in range(7):
+                for column in range(0 if is_fitted else 7):
+                    products[k, row, column] += terms[row] * terms[column]
+                if is_fitted and row < 6:
+                    residuals[i] -= quadric[k, row] * terms[row]
+        for k in range(count):
+            solve_least_squares(products[k], 6, quadric[k])
+
+
+@kernel('float64[::1](int32[:, ::1], float64[::1], int64)', is_short=True)
+def _differences(labels, residuals, lag):
     """Return moduli of the differences of residuals of cells of a region some cells apart."""
-    (rows, columns), count = labels.shape, 0
-    moduli, residuals = np.empty(2 * labels.size), np.full(labels.size, np.nan)
+    (rows, columns), count, moduli = labels.shape, 0, np.empty(2 * labels.size)
     for row in range(rows):
         for column in range(columns):
-            i, label = row * columns + column, labels[row, column]
-            if not is_used[i]:
+            here = residuals[row * columns + column]
+            if np.isnan(here):
                 continue
-            residuals[i] = residual(table, i, planes[label, 0], planes[label, 1],
-                                    planes[label, 2])
             for r, c in ((row - lag, column), (row, column - lag)):
-                if r >= 0 and c >= 0 and labels[r, c] == label:
-                    difference = residuals[i] - residuals[r * columns + c]
+                if r >= 0 and c >= 0 and labels[r, c] == labels[row, column]:
+                    difference = here - residuals[r * columns + c]
                     if not np.isnan(difference):
                         moduli[count] = abs(difference)
                         count += 1
@@ -262,16 +292,11 @@ def _bounded(share: float) -> float:
     return min(max(share, MIN_SHARE), 1 - MIN_SHARE)
 
 
-@kernel('float64[::1](int32[:, ::1], float64[:, ::1], float64[:, ::1], boolean[::1])',
-        is_short=True)
-def _covariances(labels, planes, table, is_used):
+@kernel('float64[::1](int32[:, ::1], float64[::1])', is_short=True)
+def _covariances(labels, residuals):
     """Return the mean product (3,) of residuals in a region 0, 1 and 2 cells apart."""
-    (rows, columns), residuals = labels.shape, np.full(labels.size, np.nan)
-    total, count, label = np.zeros(3), np.zeros(3), labels.reshape(-1)
-    for i in range(labels.size):
-        if is_used[i]:
-            k = label[i]
-            residuals[i] = residual(table, i, planes[k, 0], planes[k, 1], planes[k, 2])
+    (rows, columns), label = labels.shape, labels.reshape(-1)
+    total, count = np.zeros(3), np.zeros(3)
     for row in range(rows):
         for column in range(columns):
             i = row * columns + column

@@ -17,6 +17,8 @@ from __future__ import annotations
 import numpy as np
 
 from plane_detector.compilation import kernel
+from plane_detector.segmentation.cells.model import MIN_VARIANCE
+from plane_detector.segmentation.cells.noise_correlation import Correlation
 from plane_detector.segmentation.cells.plane_fit import (
     XX,
     XY,
@@ -42,12 +44,17 @@ QUADRIC_TERMS = len(PRODUCTS) - 1
 # Threshold of the F-statistic: improvement of the fit by the quadric over the noise.
 # derived: planes reach it once in 40 000 times (chi-squared with 3 degrees of freedom is 24).
 MIN_F = 8.0
+# The share of its variogram half across a region that noise takes in each further coefficient of a
+# quadric.
+# derived: .048 to .052 for a random walk over squares of 8 to 30 cells; for the powers of sensors,
+# .9 to 1.8, from .02 to .08.
+BEND_SHARE = 0.05
 # A single region must turn by as many times more as its radius is larger: trays, tables and floors
 # that bow by millimetres over tens of centimetres are planes for every user, though the bow is
 # clear in a sensor's depth.
 # chosen: columns, pipes and balls measure up to 1.4 m (benchmark accuracy), bowed trays and floors
-# of real sensors from 4.9 m.
-MAX_RADIUS_M = 2.0
+# of real sensors from 4.9 m; curved scenes are the same at 2 m.
+MAX_RADIUS_M = 1.5
 # Planes that meet at more than this have an edge between them.
 # tuned: curved scenes, rooms and lived-in rooms below seed 9000; 0.03 more of curved surfaces have
 # labels at noise 0.01 at 60, recall of lived-in rooms -0.016 at 90.
@@ -98,17 +105,18 @@ def fit_quadric(first, second, noise_share):
     return gain, of_quadric / total, worst
 
 
-def find_curved(graph: RegionGraph, noise_density: float | np.ndarray, min_turn_deg: float,
-                bending: float = 1.0, max_radius_m: float = np.inf) -> np.ndarray:
+def find_curved(graph: RegionGraph, noise_density: float, min_turn_deg: float,
+                bending: float = 1.0, max_radius_m: float = np.inf,
+                correlation: Correlation | None = None) -> np.ndarray:
     """
     Find regions that a quadric explains better than a plane, alone or together with neighbours.
 
     Parameters
     ----------
     graph : RegionGraph
-    noise_density : float or (K,) float64
+    noise_density : float
         Variance of a cell times the number of cells that share their noise; at least that of each
-        cell counts. Infinite: regions are not tested alone.
+        cell counts.
     min_turn_deg : float
         Surfaces that turn by less are planes with a dent.
     bending : float
@@ -117,6 +125,8 @@ def find_curved(graph: RegionGraph, noise_density: float | np.ndarray, min_turn_
         planes that may be bent lie off a curved surface along their border.
     max_radius_m : float
         Single regions of a larger radius must turn by more; infinite without metres.
+    correlation : Correlation or None
+        Of the noise; it replaces ``noise_density``.
 
     Returns
     -------
@@ -126,19 +136,22 @@ def find_curved(graph: RegionGraph, noise_density: float | np.ndarray, min_turn_
     """
     sums, max_gap = graph.sums.copy(), bending * MAX_DEVIATIONS
     sums[:, VARIANCE] /= bending**2
-    return np.flatnonzero(_in_bends(_bends(graph.planes, sums, graph.borders, graph.lens,
-                                           np.full(len(sums), noise_density, float),
+    # Without a correlation the variogram bounds nothing.
+    of_bows = (noise_density, np.inf, 0.0, 0.0, 1.0, 1.0)
+    if correlation is not None:
+        of_bows = correlation.of_bows
+    return np.flatnonzero(_in_bends(_bends(graph.planes, sums, graph.borders, graph.lens, of_bows,
                                            (min_turn_deg, max_gap, max_radius_m))))
 
 
 @kernel('int8[:, ::1](float64[:, ::1], float64[:, ::1], float64[:, :, ::1], float64[::1], '
-        'float64[::1], UniTuple(float64, 3))', is_short=True)
-def _bends(planes, sums, borders, lens, density, limits):
+        'UniTuple(float64, 6), UniTuple(float64, 3))', is_short=True)
+def _bends(planes, sums, borders, lens, of_bows, limits):
     """Return 2 for regions and pairs that are clearly bent, 1 for weak bends, 0 for others."""
     (min_deg, max_gap, max_radius), count = limits, len(planes)
     bends = np.zeros((count, count), np.int8)
     for i in range(count):
-        bends[i, i] = 2 * _is_curved(sums[i], lens, density[i], min_deg, max_radius)
+        bends[i, i] = 2 * _is_curved(sums[i], lens, of_bows, min_deg, max_radius)
         for j in range(i + 1, count):
             if borders[i, j, 0] == 0:
                 continue
@@ -155,30 +168,36 @@ def _bends(planes, sums, borders, lens, density, limits):
     return bends
 
 
-@kernel('boolean(float64[::1], float64[::1], float64, float64, float64)')
-def _is_curved(sums, lens, noise_density, min_deg, max_radius):
+@kernel('boolean(float64[::1], float64[::1], UniTuple(float64, 6), float64, float64)')
+def _is_curved(sums, lens, of_bows, min_deg, max_radius):
     """Return whether a quadric fits far better than a plane and turns by more than the angle."""
     count, mean, quadric, products = sums[N], sums[D] / sums[N], np.zeros(7), _products(sums)
     of_plane, plane = solve_least_squares(products, PLANE_TERMS, quadric), quadric.copy()
     of_quadric = solve_least_squares(products, QUADRIC_TERMS, quadric)
-    variance = max(of_quadric / (count - QUADRIC_TERMS), noise_density, sums[VARIANCE] / count)
-    if of_plane - of_quadric <= MIN_F * (QUADRIC_TERMS - PLANE_TERMS) * variance:
-        return False
     # The bend over the width of the region along each direction, whose variance is a twelfth of
     # the width squared: its squares have this trace.
     xx, xy, yy = 2 * quadric[3], quadric[4], 2 * quadric[5]
     x, y = sums[X] / count, sums[Y] / count
     of_x, of_y = sums[XX] / count - x * x, sums[YY] / count - y * y
     of_xy = sums[XY] / count - x * y
-    change = (lens[0]**2 * (xx * xx * of_x + xy * xy * of_y + 2 * xx * xy * of_xy)
-              + lens[1]**2 * (xy * xy * of_x + yy * yy * of_y + 2 * xy * yy * of_xy))
-    turn_deg = np.degrees(np.arctan2(np.sqrt(max(12 * change, 0.0)), mean))
+    along_x = xx * xx * of_x + xy * xy * of_y + 2 * xx * xy * of_xy
+    along_y = xy * xy * of_x + yy * yy * of_y + 2 * xy * yy * of_xy
+    # Half across the region, along the bend, the noise has changed by its variogram.
+    half2 = 3 * (along_x + along_y) / max(xx * xx + 2 * xy * xy + yy * yy, MIN_VARIANCE)
+    density, own, smooth, decay, power, columns = of_bows
+    change = own - smooth * np.expm1(-decay * (columns * columns * half2) ** (power / 2))
+    variance = max(of_quadric / (count - QUADRIC_TERMS), sums[VARIANCE] / count,
+                   min(density, BEND_SHARE * count * change))
+    if of_plane - of_quadric <= MIN_F * (QUADRIC_TERMS - PLANE_TERMS) * variance:
+        return False
+    turn = np.sqrt(max(12 * (lens[0]**2 * along_x + lens[1]**2 * along_y), 0.0))
     # Along a ray of slope X the depth bends by the second derivative of 1/z by X per square metre,
     # across the surface by that times the cosine of the angle at which it is seen.
     normal = normal_of(plane[1], plane[2], plane[0], lens)
     cosine = mean / np.sqrt(normal[0]**2 + normal[1]**2 + normal[2]**2)
     xx, xy, yy = lens[0]**2 * xx, lens[0] * lens[1] * xy, lens[1]**2 * yy
     curvature = abs(xx + yy) / 2 + np.sqrt((xx - yy)**2 / 4 + xy**2)
+    turn_deg = np.degrees(np.arctan2(turn, mean))
     return turn_deg > min_deg * max(1.0, 1 / (max_radius * curvature * cosine))
 
 

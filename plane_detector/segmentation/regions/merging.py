@@ -37,7 +37,6 @@ from plane_detector.segmentation.cells.model import (
     WeightedCells,
     residual,
 )
-from plane_detector.segmentation.cells.noise import CORRELATED_CELLS
 from plane_detector.segmentation.cells.noise_correlation import Correlation
 from plane_detector.segmentation.cells.normal_slopes import MIN_NORMAL_ERROR_DEG
 from plane_detector.segmentation.cells.plane_fit import (
@@ -113,10 +112,14 @@ SIGHT_LINES = 24
 # MAX_DEVIATIONS on, wholly at twice that, so that no single cell decides by a hair.
 # chosen: three times the share of normal deviates below -3.
 MAX_FARTHER_SHARE = 0.004
-# Pieces that do not touch are one plane up to this angle, and so many deviations of it more.
-# tuned: eight NYU frames with 12 seeds, SC .909 without, .918 at 0 and .917 at 1 deviation; rooms
-# and lived-in rooms below seed 9000 with noise: at 0 deviations precision of both -.01 at .004.
-MAX_HIDDEN_FOLD_DEG, FOLD_DEVIATIONS = 3.0, 1.0
+# Pieces that do not touch are one plane up to this angle, or to so many deviations of it by noise.
+# tuned: eight NYU frames with 12 seeds, SC .909 without, .918 with it; 3 degrees and a deviation
+# more .918, but the wall on both sides of a thick column is then two in one draw of three.
+MAX_HIDDEN_FOLD_DEG, FOLD_DEVIATIONS = 3.0, 2.0
+# The pieces share the systematic part, which is long as well as large: what is left has less of
+# the density of the noise by this power of the bending.
+# tuned: as above; SC .918 at 6, .911 at 4, where it is variance of the residuals.
+UNSHARED_POWER = 6
 
 
 def merge_coplanar(cells: WeightedCells, graph: RegionGraph,
@@ -139,7 +142,7 @@ def merge_coplanar(cells: WeightedCells, graph: RegionGraph,
     """
     def is_apart(graph: RegionGraph, i: int, j: int) -> bool:
         if graph.borders[i, j, 0] == 0 and (
-                (correlation is not None and _folds(graph, i, j, correlation.bending))
+                (correlation is not None and _folds(graph, i, j, correlation))
                 or not _is_hidden_between(graph.labels, cells.table, cells.is_planar, graph.sums,
                                           (i, j))):
             return True
@@ -151,25 +154,24 @@ def merge_coplanar(cells: WeightedCells, graph: RegionGraph,
     return graph.without_merged()
 
 
-def _folds(graph: RegionGraph, i: int, j: int, bending: float) -> bool:
+def _folds(graph: RegionGraph, i: int, j: int, correlation: Correlation) -> bool:
     """Return whether the angle between two planes is larger than that of pieces of one plane."""
     normals, variance = [], 0.0
+    density = correlation.density / correlation.bending**UNSHARED_POWER
     for k in (i, j):
         normal, sums = np.array(normal_of(*graph.planes[k], graph.lens)), graph.sums[k].tolist()
         x, y = sums[X] / sums[N], sums[Y] / sums[N]
         # The slope of a plane has the variance of its means over the spread of its cells, which
-        # is least across a narrow region. Both share the systematic part; of smooth noise
-        # CORRELATED_CELLS have the same error, of the rough noise of sensors fewer.
+        # is least across a narrow region.
         xx, xy = sums[XX] / sums[N] - x * x, sums[XY] / sums[N] - x * y
         yy = sums[YY] / sums[N] - y * y
         narrow = (xx + yy) / 2 - math.hypot((xx - yy) / 2, xy)
-        slope2 = (CORRELATED_CELLS * sums[VARIANCE] / (bending**2 * sums[N])**2
-                  / max(narrow, MIN_VARIANCE))
+        slope2 = density / (sums[N] * max(narrow, MIN_VARIANCE))
         square = float(normal @ normal)
         variance += slope2 * float(graph.lens[0]) ** 2 / square
         normals.append(normal / math.sqrt(square))
     fold_deg = math.degrees(math.acos(min(max(float(normals[0] @ normals[1]), -1.0), 1.0)))
-    return fold_deg > MAX_HIDDEN_FOLD_DEG + FOLD_DEVIATIONS * math.degrees(variance**0.5)
+    return fold_deg > max(MAX_HIDDEN_FOLD_DEG, FOLD_DEVIATIONS * math.degrees(variance**0.5))
 
 
 def merge_bowed_walls(graph: RegionGraph) -> RegionGraph:

@@ -27,6 +27,7 @@ from plane_detector.segmentation.cells.noise import (
     Noise,
     estimate_noise,
     sample_cells,
+    with_lateral_noise,
 )
 from plane_detector.segmentation.cells.noise_correlation import (
     MAX_BENDING,
@@ -55,7 +56,7 @@ def search_planes(frame: Frame) -> tuple[Frame, PlaneRegions]:
     The floors and the ``source_sigma`` of the noise given bound the noise from below.
     """
     grid, most = frame.grid, frame.config.segmentation.max_planes
-    noise = estimate_noise(grid, frame.noise)
+    noise = with_lateral_noise(estimate_noise(grid, frame.noise), grid, frame.image)
     noise = noise.with_smooth_part(START_SHARE * noise.mean_sigma, noise.slope_sigma)
     frame, floor = replace(frame, noise=noise), sys.float_info.min
     floor += math.sqrt(noise.variance_floor(grid.typical_disparity))

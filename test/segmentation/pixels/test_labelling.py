@@ -110,9 +110,7 @@ def wall_with_joints(depth_of_joints_m, width_px):
     return np.where(is_joint, depth_m + depth_of_joints_m, depth_m).astype(np.float32), is_joint
 
 
-@pytest.mark.parametrize('depth_of_joints_m, belongs', [
-    (0.008, True), pytest.param(0.08, False, marks=pytest.mark.xfail(
-        strict=True, reason='3 % of the wall has no label'))])
+@pytest.mark.parametrize('depth_of_joints_m, belongs', [(0.008, True), (0.08, False)])
 def test_joints_belong_to_their_wall_if_they_are_shallow(depth_of_joints_m, belongs):
     depth_m, is_joint = wall_with_joints(depth_of_joints_m, 3)
     labels = segment_planes(depth_m, JOINTED).labels
