@@ -74,9 +74,10 @@ def visible(planes: Sequence[MapPlane], frames: PlaneFrames, view: View
     camera_m = view.camera_from_map.inverse().translation_m
     faces = ((camera_m - frames.origins_m) * frames.axes[:, 2]).sum(axis=1) > 0
     lows = np.array([plane.cells.low for plane in planes]).reshape(-1, 2)
-    steps = view.steps(frames, lows, planes[0].cells.size_m) if len(planes) else np.zeros((0, 3))
+    steps = view.steps(frames, lows, planes[0].cells.size_m if len(planes) else 1.0)
+    shapes = np.array([plane.cells.hits.shape for plane in planes]).reshape(-1, 2)
     index, counts = [], [np.zeros((0, view.count + 1), np.int64)]
-    for k in np.flatnonzero(faces).tolist():
+    for k in np.flatnonzero(faces & view.may_show(steps, shapes)).tolist():
         shared = shared_cells(view, steps[k], planes[k].cells)
         if shared[-1]:
             index.append(k)

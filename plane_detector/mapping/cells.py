@@ -9,6 +9,8 @@ planes grow by what is seen of them, and what has gone loses its cells.
 
 from __future__ import annotations
 
+import math
+import operator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -119,23 +121,25 @@ class Cells:
 
     def grown(self, low_m: np.ndarray, high_m: np.ndarray) -> Cells:
         """Return the cells with at least those between two corners (2,)."""
-        wanted = np.clip([np.floor(low_m / self.size_m), np.ceil(high_m / self.size_m)],
-                         -MOST_CELLS, MOST_CELLS).astype(int)
-        low, high = wanted
+        low, high = ([min(max(rounded(value / self.size_m), -MOST_CELLS), MOST_CELLS)
+                      for value in corner_m.tolist()]
+                     for rounded, corner_m in ((math.floor, low_m), (math.ceil, high_m)))
+        (rows, columns), own_low = self.hits.shape, self.low
         if self.hits.size:
-            own = np.array(self.low), np.array(self.low) + self.hits.shape[::-1]
-            if (low >= own[0]).all() and (high <= own[1]).all():
+            own_high = own_low[0] + columns, own_low[1] + rows
+            if all(map(operator.ge, low, own_low)) and all(map(operator.le, high, own_high)):
                 return self
-            low = np.where(low < own[0], low - _MARGIN, own[0])
-            high = np.where(high > own[1], high + _MARGIN, own[1])
-        shape = tuple(np.maximum(high - low, 0)[::-1])
+            low = [new - _MARGIN if new < old else old
+                   for new, old in zip(low, own_low, strict=True)]
+            high = [new + _MARGIN if new > old else old
+                    for new, old in zip(high, own_high, strict=True)]
+        shape = max(high[1] - low[1], 0), max(high[0] - low[0], 0)
         hits, looks = np.zeros(shape, np.uint8), np.zeros(shape, np.uint8)
         if self.hits.size:
-            left, top = np.array(self.low) - low
-            rows, columns = self.hits.shape
+            left, top = own_low[0] - low[0], own_low[1] - low[1]
             hits[top:top + rows, left:left + columns] = self.hits
             looks[top:top + rows, left:left + columns] = self.looks
-        return Cells(tuple(low.tolist()), hits, looks, self.size_m)
+        return Cells(tuple(low), hits, looks, self.size_m)
 
 
 @dataclass(frozen=True)
@@ -173,6 +177,23 @@ class View:
         steps = steps @ self.camera_from_map.rotation.T
         steps[:, 0] += self.camera_from_map.translation_m
         return steps
+
+
+    def may_show(self, steps: np.ndarray, shapes: np.ndarray) -> np.ndarray:
+        """
+        Return which rectangles of cells may be in view, (M,) bool: no side has all corners beyond.
+
+        ``steps`` are those of :meth:`steps`, ``shapes`` (M, 2) the rows and columns of cells.
+        """
+        height, width = self.labels.shape
+        fx, fy, cx, cy = self.camera
+        rows, columns = (shapes.T[:, :, None] - 1) * np.array([[[0, 0, 1, 1]], [[0, 1, 0, 1]]])
+        corners = (steps[:, :1] + rows[:, :, None] * steps[:, 2:] + columns[:, :, None]
+                   * steps[:, 1:2])
+        sides = np.array([[fx, 0, cx + 0.5], [-fx, 0, width - cx - 0.5],
+                          [0, fy, cy + 0.5], [0, -fy, height - cy - 0.5], [0, 0, 1]])
+        return ((corners @ sides.T).max(axis=1) > 0).all(axis=1)
+
 
 
 def runs(cells: Cells) -> np.ndarray:

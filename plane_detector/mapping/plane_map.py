@@ -166,7 +166,7 @@ class PlaneMap:
         # 9. Merge what is one surface.
         self.planes, subsumed = merge_touched(self.planes, labels, self.up)
         # 10. Drop what has no cells left, or was seen only once.
-        self.planes = tuple(plane for plane in self.planes if self._is_kept(plane))
+        self.planes = self._kept()
         labels = np.array([subsumed.get(label, label) for label in labels.tolist()], int)
         return MapUpdate(labels, attempt.explained, jump_m, subsumed, is_full)
 
@@ -343,9 +343,14 @@ class PlaneMap:
     def _labels(self, attempt: _Attempt) -> np.ndarray:
         return np.array([self.planes[k].label if k >= 0 else 0 for k in attempt.taken], int)
 
-    def _is_kept(self, plane: MapPlane) -> bool:
-        return not plane.cells.is_gone and (
-            plane.views > 1 or self.images - plane.first_image < _FORGOTTEN_IMAGES)
+    def _kept(self) -> tuple[MapPlane, ...]:
+        kept = tuple(plane for plane in self.planes if not plane.cells.is_gone and (
+            plane.views > 1 or self.images - plane.first_image < _FORGOTTEN_IMAGES))
+        if len(kept) == len(self.planes):
+            return kept
+        # Nor are labels of what has gone kept, whose number would grow for ever.
+        labels = frozenset(plane.label for plane in kept)
+        return tuple(replace(plane, apart=plane.apart & labels) for plane in kept)
 
 
 @dataclass(frozen=True)

@@ -49,6 +49,17 @@ def test_the_crate_that_went_leaves_nothing():
     assert result.found >= result.surfaces - 1
 
 
+def test_nothing_is_kept_of_what_has_gone():
+    walked, planes = recording('crate', 48).walked, PlaneMap()
+    beside = set()
+    for k, found in enumerate(recording('crate', 48).detections):
+        planes.update(PlacedDetection(found, CAMERA, walked.poses[k], 0.1 * k))
+        beside |= {label for plane in planes.planes for label in plane.apart}
+    labels = {plane.label for plane in planes.planes}
+    assert beside - labels  # the crate was beside what has stayed
+    assert all(plane.apart <= labels for plane in planes.planes)
+
+
 def run(images=6, still=False, kind='exact'):
     walked = recording().walked
     poses = with_errors(walked.poses, kind, np.random.default_rng(0))
