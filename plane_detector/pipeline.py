@@ -222,7 +222,8 @@ class PlaneDetector:
             valid = regions.restricted_to(np.isfinite(depth_m)) if is_rescaled else regions
             planes = _measured_planes(
                 valid, seen.intrinsics, config,
-                around.lines if _may_reorient(seen) and scale.has_true_angles else None)
+                around.lines if _may_reorient(seen) and scale.has_true_angles else None,
+                np.radians(np.nan_to_num(scale.angle_sigma_deg)))
         with timer('shapes'):
             # 4. Spheres, cylinders and cones where there is no plane, if requested.
             planes, shapes, shape_labels = state.shapes.detect(
@@ -378,9 +379,14 @@ def _rescaled(regions: PixelRegions, scale: ScaleEstimate, seen: Observation) ->
 
 
 def _measured_planes(regions: PixelRegions, intrinsics: CameraIntrinsics, config: Config,
-                     lines: ImageDirections | None = None) -> PlaneSegmentation:
-    """Measure the planes that are large enough, rotated by the lines of the image if given."""
+                     lines: ImageDirections | None = None,
+                     shift_rad: float = 0.0) -> PlaneSegmentation:
+    """
+    Measure the planes that are large enough, rotated by the lines of the image if given.
+
+    Their normals have an error by the shift of the disparity.
+    """
     min_pixels = config.segmentation.min_plane_share * regions.labels.size
-    turned = measure_turned(regions, intrinsics, min_pixels, lines)
+    turned = measure_turned(regions, intrinsics, min_pixels, lines, shift_rad)
     return PlaneSegmentation(*turned, regions.noise.mean_sigma,
                              systematic_noise=regions.noise.systematic_sigma)

@@ -37,7 +37,8 @@ STEP_PER_RAD = 0.08
 
 
 def measure_turned(regions: PixelRegions, intrinsics: CameraIntrinsics, min_pixels: float,
-                   lines: ImageDirections | None) -> tuple[Planes, np.ndarray]:
+                   lines: ImageDirections | None,
+                   shift_rad: float = 0.0) -> tuple[Planes, np.ndarray]:
     """
     Measure planes, rotated by the lines of the image if these give an orientation.
 
@@ -50,6 +51,8 @@ def measure_turned(regions: PixelRegions, intrinsics: CameraIntrinsics, min_pixe
         Smaller planes are dropped.
     lines : ImageDirections or None
         None: the planes are not rotated.
+    shift_rad : float
+        Error of normals by an uncertain shift of the disparity.
 
     Returns
     -------
@@ -64,7 +67,7 @@ def measure_turned(regions: PixelRegions, intrinsics: CameraIntrinsics, min_pixe
         return planes, labels
     turned = reorient(replace(regions, labels=labels,
                               rotated_rad=_rotations(regions, labels, len(planes))),
-                      planes, lines, intrinsics)
+                      planes, lines, intrinsics, shift_rad)
     return measure_planes(turned, intrinsics, min_pixels)
 
 
@@ -78,7 +81,7 @@ def _rotations(regions: PixelRegions, labels: np.ndarray, count: int) -> np.ndar
 
 
 def reorient(regions: PixelRegions, planes: Planes, lines: ImageDirections,
-             intrinsics: CameraIntrinsics) -> PixelRegions:
+             intrinsics: CameraIntrinsics, shift_rad: float = 0.0) -> PixelRegions:
     """
     Rotate regions to their most likely orientation, and merge those that are then coplanar.
 
@@ -91,6 +94,8 @@ def reorient(regions: PixelRegions, planes: Planes, lines: ImageDirections,
     lines : ImageDirections
         Of the image, with gravity.
     intrinsics : CameraIntrinsics
+    shift_rad : float
+        Error of normals by an uncertain shift of the disparity.
 
     Returns
     -------
@@ -104,11 +109,13 @@ def reorient(regions: PixelRegions, planes: Planes, lines: ImageDirections,
     beside = lines_in_regions(lines.segments, regions.labels, len(planes))
 
     def scored(axes: ImageDirections) -> ScoredOrientations:
-        return score_orientations(planes, axes.directions, beside.along(axes.all_axes), samples)
+        return score_orientations(planes, axes.directions, beside.along(axes.all_axes), samples,
+                                  shift_rad)
 
     best = scored(lines)
     own, log_prior = axes_of_planes(
-        normals, normal_variances(planes, samples, OWN_SIGMA_RAD), lines.directions)
+        normals, normal_variances(planes, samples, OWN_SIGMA_RAD, shift_rad),
+        lines.directions)
     if own is not None:
         other = scored(replace(lines, directions=own))
         if PLANE_VOTE * (other.log_evidence - best.log_evidence) + log_prior > 0:

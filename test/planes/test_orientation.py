@@ -86,6 +86,22 @@ def test_a_floor_faces_the_camera_even_if_the_network_sees_it_lean_over():
     assert angle_deg(found.normals[0], -AXES[0]) < 1
 
 
+def test_the_more_a_piece_is_bent_the_less_sure_is_its_class():
+    wall = plane(turned(-AXES[2], 10, AXES[1]))
+    rays = [[x, y, 1.0] for x in (-0.01, 0.01) for y in (-0.01, 0.01)]
+    samples, planes = samples_of((wall,), rays), Planes.of([wall])
+
+    def of_class(bend):
+        flat = samples.own_cosine / wall.offset_m
+        own = replace(samples, disparity=flat + bend * (samples.disparity - flat))
+        return most_likely(score_orientations(planes, directions(), no_lines(1), own),
+                           own).class_probability[0]
+
+    assert of_class(0.1) > 0.9
+    assert of_class(0.3) > of_class(1.0) > of_class(2.0)
+    assert of_class(2.0) < 0.75
+
+
 def test_an_accurate_network_keeps_a_roof_and_an_open_door():
     roof, door = turned(-AXES[0], 35, AXES[1]), turned(-AXES[2], 30, AXES[0])
     exact = tuple(plane(turned(normal, 0.5, AXES[1]), 0.3)

@@ -90,6 +90,22 @@ def upright_axes(camera):
     return ImageDirections(segments_from_pixels(np.zeros((0, 2, 2)), camera), found)
 
 
+def test_planes_at_an_uncertain_shift_do_not_contradict_lines():
+    scene = textured(random_room, 300)
+    lines = find_in_image(CameraImage(scene.rgb, scene.intrinsics))
+    regions = segment(1 / scene.depth_m, metric_noise_floor(CONFIG, 0.002), CONFIG)
+    regions = regions.rescaled(1.0, 0.1)  # as a wrong shift of a relative disparity does
+    planes, labels = measure_planes(regions, scene.intrinsics, 1000)
+
+    def found(shift_deg):
+        after = reorient(replace(regions, labels=labels), planes, lines, scene.intrinsics,
+                         np.radians(shift_deg))
+        return mean_error_deg(scene, *measure_planes(after, scene.intrinsics, 1000))
+
+    assert mean_error_deg(scene, planes, labels) > 5
+    assert found(7.0) < 1 < found(0.0)
+
+
 @pytest.mark.parametrize(('step_share', 'pieces'), [(0.0, 1), (0.025, 2)])
 def test_pieces_of_a_bent_wall_are_joined_but_not_across_a_step(step_share, pieces):
     camera = CameraIntrinsics.from_field_of_view(160, 120, 60.0)
