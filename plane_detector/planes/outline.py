@@ -273,7 +273,8 @@ def _hull_px(ends):
             corners[count, 0], corners[count, 1], count = x, y, count + 1
     found = corners[:count].copy()
     for i in range(first, count):
-        found[i] = corners[count - 1 - (i - first)]
+        for axis in range(2):  # an assignment of an array takes three seconds to compile
+            found[i, axis] = corners[count - 1 - (i - first), axis]
     return found
 
 

@@ -62,9 +62,10 @@ def _plane_markers(frame: DetectedFrame, blank: Marker) -> Iterator[Marker]:
     lengths_m = np.minimum(_ARROW_LENGTH * planes.distances_m,
                            _LARGEST_ARROW * np.sqrt(planes.areas_m2))
     tips_m = planes.centroids_m + lengths_m[:, None] * planes.normals
-    arrows = _points(frame.placed(np.hstack([planes.centroids_m, tips_m]).reshape(-1, 3)))
+    arrows = messages.point_msgs(frame.placed(
+        np.hstack([planes.centroids_m, tips_m]).reshape(-1, 3)))
     captions = _captions(frame)
-    middles = _points(frame.placed(captions.positions_m))
+    middles = messages.point_msgs(frame.placed(captions.positions_m))
     for k, (label, sides) in enumerate(zip(planes.labels.tolist(), _sides(frame), strict=True)):
         colour = _colour(frame, label)
         if sides:  # none if the plane is too narrow
@@ -82,7 +83,7 @@ def _plane_markers(frame: DetectedFrame, blank: Marker) -> Iterator[Marker]:
 def _sides(frame: DetectedFrame) -> list[list[Point]]:
     """Return the ends of all sides of the outlines of each plane, lifted from it."""
     corners_m = [polygon.corners_m for of_plane in frame.camera_polygons for polygon in of_plane]
-    corners = _points(frame.placed(
+    corners = messages.point_msgs(frame.placed(
         (1 - _LIFTED_BY) * np.concatenate([np.zeros((0, 3)), *corners_m])))
     sides, first = [], 0
     for of_plane in frame.camera_polygons:
@@ -106,7 +107,8 @@ def _shape_markers(frame: DetectedFrame, blank: Marker) -> Iterator[Marker]:
         corners_m = (_cone_corners(shape, _cone_start_m(frame, index))
                      if shape.type == ShapeType.CONE else ())
         yield _marker(blank, ns='shape', id=label, type=kind, scale=Vector3(x=x_m, y=y_m, z=z_m),
-                      color=_colour(frame, label, _SURFACE_ALPHA), points=_points(corners_m),
+                      color=_colour(frame, label, _SURFACE_ALPHA),
+                      points=messages.point_msgs(corners_m),
                       pose=messages.pose_msg(shape.position_m, _orientation(shape.axis)))
 
 
@@ -150,15 +152,6 @@ def _marker(blank: Marker, **fields: Any) -> Marker:
 def _colour(frame: DetectedFrame, label: int, alpha: float = 1.0) -> ColorRGBA:
     red, green, blue = (frame.colours[label] / 255.0).tolist()
     return ColorRGBA(r=red, g=green, b=blue, a=alpha)
-
-
-def _points(points_m: np.ndarray) -> list[Point]:
-    points = []
-    for x_m, y_m, z_m in np.asarray(points_m).tolist():
-        point = Point.__new__(Point)  # its constructor takes three times as long
-        point._x, point._y, point._z, point._check_fields = x_m, y_m, z_m, False
-        points.append(point)
-    return points
 
 
 class Captions(NamedTuple):

@@ -52,8 +52,19 @@ def pixel_labels(detection: Detection) -> np.ndarray:
 def poses_to_msg(header: Header, planes: Planes) -> PoseArray:
     """Return the pose of each plane: its centroid, z along the normal."""
     return PoseArray(header=header, poses=[
-        pose_msg(centroid_m, turn)
-        for centroid_m, turn in zip(planes.centroids_m, plane_quaternions(planes), strict=True)])
+        Pose(position=position, orientation=Quaternion(x=x, y=y, z=z, w=w))
+        for position, (x, y, z, w) in zip(point_msgs(planes.centroids_m),
+                                          plane_quaternions(planes).tolist(), strict=True)])
+
+
+def point_msgs(points_m: np.ndarray) -> list[Point]:
+    """Return points (N, 3) as messages."""
+    points = []
+    for x_m, y_m, z_m in np.asarray(points_m).tolist():
+        point = Point.__new__(Point)  # its constructor takes three times as long
+        point._x, point._y, point._z, point._check_fields = x_m, y_m, z_m, False
+        points.append(point)
+    return points
 
 
 def pose_msg(position_m: np.ndarray, quaternion: Sequence[float] = (0.0, 0.0, 0.0, 1.0)) -> Pose:
