@@ -46,14 +46,11 @@ from plane_detector.segmentation.segment import metric_noise_floor, segment, uni
 from plane_detector.shapes.detector import ShapeDetector
 from plane_detector.stage_timer import StageTimer
 from plane_detector.tracking.tracker import PlaneTracker
-from plane_detector.types import CameraIntrinsics, Detection, PlaneSegmentation
+from plane_detector.types import JUMP_S, CameraIntrinsics, Detection, PlaneSegmentation
 
 DEFAULTS = Config()
 # Folders of the loops that every image needs.
 LOOPS = ('geometry', 'segmentation', 'planes', 'ground')
-# chosen: stamps of one stream that are further back are of another one, such as a bag that starts
-# again; images that overtook each other are a few periods apart.
-JUMP_S = 1.0
 State = TypeVar('State')
 
 

@@ -12,6 +12,9 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
+# chosen: stamps of one stream that are further back are of another one, such as a bag that starts
+# again; images that overtook each other are a few periods apart.
+JUMP_S = 1.0
 # chosen: a lens sees between .06 and 179 degrees along the longer side; the longest telephoto and
 # the widest fisheye are far inside. Outside, products of coefficients overflow.
 _LEAST_FOCAL_SHARE, _MOST_FOCAL_SHARE, _MOST_CENTRE_SHARE = 0.01, 1000.0, 1000.0

@@ -36,7 +36,7 @@ from plane_detector.mapping.registration import (
     predict,
     register,
 )
-from plane_detector.planes.placed import PlacedDetection
+from plane_detector.planes.outline import PlacedDetection
 from plane_detector.scale.estimate import RELATIVE
 from plane_detector.types import CameraIntrinsics, Detection, Planes
 

@@ -180,8 +180,7 @@ class PlaneDetectorNode(LifecycleNode):
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Subscribe."""
         try:
-            # Not those of the processor: it takes changes with a frame, and none has come yet.
-            self._inputs = Subscriptions(self, *self._live.of(self._processor),
+            self._inputs = Subscriptions(self, self._live.config, self._live.settings,
                                          self._processor.output, self._flow.accept,
                                          self._statistics.add_unpaired,
                                          self._given_transforms or self._listening)
@@ -233,7 +232,7 @@ class PlaneDetectorNode(LifecycleNode):
     def _on_change(self) -> None:
         """Apply the settings of the inputs; the others are applied before the next frame."""
         if self._inputs is not None:
-            self._inputs.apply(*self._live.of(self._processor))
+            self._inputs.apply(self._live.config, self._live.settings)
 
     async def _on_detect(self, describe: Callable[[DetectedFrame], str],
                          _request: Trigger.Request, response: Trigger.Response):

@@ -269,8 +269,10 @@ class FrameFlow:
     def _begin(self, frame: Frame) -> Callable[[], None]:
         """Do the first half of the work on a frame; return a function that does the second."""
         try:
-            self._live.apply_to(self._processor)
-            return partial(self._finish, frame, self._processor.begin(frame))
+            processor, live = self._processor, self._live
+            processor.settings = live.settings
+            processor.detector.config = live.late_kernels.without_unready_shapes(live.config)
+            return partial(self._finish, frame, processor.begin(frame))
         except Exception as error:
             return partial(self._skip, frame, error)
 

@@ -19,8 +19,6 @@ from rclpy.parameter import Parameter
 from plane_detector.compilation import are_ready, compile_kernels
 from plane_detector.config import Config, NodeConfig
 from plane_detector.ros import parameters
-from plane_detector.ros.frame_processor import FrameProcessor
-from plane_detector.settings import Settings
 from plane_detector.stopping import Background
 
 
@@ -68,7 +66,7 @@ class LiveSettings:
     """
     Current settings, from the parameters that it declares on a node.
 
-    ``is_configured`` returns whether the settings that are read at configure are fixed now;
+    ``is_configured`` returns whether the settings that are read at configure may not change now;
     ``on_change`` is called after each change, in the thread of the executor. Raises ValueError or
     rclpy's ParameterException if a parameter has an invalid value.
     """
@@ -79,30 +77,10 @@ class LiveSettings:
         self.config = parameters.declare(node, Config())
         self.settings = parameters.declare(node, NodeConfig())
         self.late_kernels = LateKernels(node.get_logger().info)
-        self._applied: tuple[Settings, ...] = ()
         parameters.warn_of_unknown(node)
         node.add_pre_set_parameters_callback(self._with_floats)
         node.add_on_set_parameters_callback(self._check)
         node.add_post_set_parameters_callback(self._take)
-
-    def apply_to(self, processor: FrameProcessor) -> None:
-        """Apply the settings to a processor, except those that are read at configure."""
-        if self._applied == self._all_of(processor):  # the same objects, in nearly every frame
-            return
-        config, processor.settings = self.of(processor)
-        usable = self.late_kernels.without_unready_shapes(config)
-        if processor.detector.config != usable:
-            processor.detector.config = usable
-        if usable is config:
-            self._applied = self._all_of(processor)
-
-    def of(self, processor: FrameProcessor) -> tuple[Config, NodeConfig]:
-        """Return the current settings, but those read at configure as the processor has them."""
-        return (parameters.with_live(processor.detector.config, self.config),
-                parameters.with_live(processor.settings, self.settings))
-
-    def _all_of(self, processor: FrameProcessor) -> tuple[Settings, ...]:
-        return processor.detector.config, processor.settings, self.config, self.settings
 
     def _with_floats(self, changed: list[Parameter]) -> list[Parameter]:
         return parameters.with_floats(self.settings,

@@ -119,18 +119,6 @@ def fixed_changes(old: AnySettings, new: AnySettings) -> list[str]:
             if field.metadata['read_only'] and before != after]
 
 
-def with_live(configured: AnySettings, wanted: AnySettings) -> AnySettings:
-    """Return the new settings, but keep those that are read only at configure."""
-    changes = {}
-    for field in fields(configured):
-        old, new = getattr(configured, field.name), getattr(wanted, field.name)
-        if isinstance(old, Settings):
-            changes[field.name] = with_live(old, new)
-        elif not field.metadata['read_only']:
-            changes[field.name] = new
-    return replace(configured, **changes)
-
-
 def descriptor(field: Field, default: Any) -> ParameterDescriptor:
     """
     Return the descriptor for `ros2 param describe`: description, unit, range, choices.

@@ -2,11 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tests of the directions of consecutive images."""
 
+from types import SimpleNamespace
+
 import cv2
 import numpy as np
 import pytest
 
-from plane_detector.config import Config
+from plane_detector.config import Config, DirectionsConfig
 from plane_detector.directions.finder import CameraImage, DirectionFinder, find_in_image
 from plane_detector.evaluation.scenes.rooms import attic, hexagon_room, random_room
 from plane_detector.evaluation.scenes.textures import rolled_room, room_from_above, textured
@@ -80,20 +82,31 @@ def test_a_wall_ahead_with_a_floor_is_still_a_wall():
     assert found.gravity_camera @ scene.gravity_camera > np.cos(np.radians(2))
 
 
-@pytest.mark.parametrize(('is_still', 'is_trusted', 'searches'), [
-    (True, True, 2), (False, True, 4), (True, False, 4)])
-def test_lines_are_held_half_a_second_while_nothing_moves_and_planes_tell_no_turn(
-        monkeypatch, is_still, is_trusted, searches):
-    scene, finder, calls = textured(random_room, 300), DirectionFinder(), []
-    found = find_in_image(CameraImage(scene.rgb, scene.intrinsics))
+def search_times(monkeypatch, turn_deg=0.0, is_still=True, is_trusted=True, hold_time=0.1):
+    """Return when lines are sought, of images every quarter second while the camera turns."""
+    times, finder = [], DirectionFinder()
+    config = Config(directions=DirectionsConfig(hold_time=hold_time))
+    nothing = SimpleNamespace(directions=SimpleNamespace(gravity_camera=None, refusal=''))
     monkeypatch.setattr('plane_detector.directions.finder.find_in_image',
-                        lambda *_: calls.append(1) or found)
-    walls = Planes.of([Plane(np.array(normal), 2.0, -2.0 * np.array(normal), 5000, 0.0, 1.0,
-                             np.eye(4), 1.0, label=k + 1)
-                       for k, normal in enumerate(((0.0, 0.0, -1.0), (1.0, 0.0, 0.0)))])
-    for stamp_s in (1.0, 1.2, 1.4, 1.6):
-        image = CameraImage(scene.rgb, scene.intrinsics, stamp_s=stamp_s, is_still=is_still)
-        finder.find(image, None, Config(), for_planes=True)
+                        lambda image, *_: times.append(image.stamp_s) or nothing)
+    for step in range(32):
+        turn = cv2.Rodrigues(np.radians([0.0, step * turn_deg, 0.0]))[0]
+        walls = Planes.of([Plane(turn @ normal, 2.0, -2.0 * turn @ normal, 5000, 0.0, 1.0,
+                                 np.eye(4), 1.0, label=k + 1)
+                           for k, normal in enumerate(-np.eye(3)[[2, 0]])])
+        finder.find(CameraImage(None, CAMERA, stamp_s=1 + step / 4, is_still=is_still), None,
+                    config, for_planes=True)
         finder.note_planes(PlaneSegmentation(walls, np.zeros((100, 100), np.int32), 0.0),
                            is_trusted)
-    assert len(calls) == searches
+    return times
+
+
+@pytest.mark.parametrize(('hold_time', 'expected'), [
+    (0.1, [1.0, 1.5, 2.5, 4.5, 6.5, 8.5]), (0.2, [1.0, 2.0, 4.0, 8.0])])
+def test_lines_are_held_ever_longer_while_planes_show_no_turn(monkeypatch, hold_time, expected):
+    assert search_times(monkeypatch, hold_time=hold_time) == expected
+
+
+@pytest.mark.parametrize('moves', [{'turn_deg': 1.0}, {'is_still': False}, {'is_trusted': False}])
+def test_lines_are_hardly_held_while_something_may_move(monkeypatch, moves):
+    assert len(search_times(monkeypatch, **moves)) >= 16, 'held for no more than one image'

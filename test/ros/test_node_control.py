@@ -39,8 +39,8 @@ def test_on_demand_one_frame_per_call_that_is_answered_when_it_is_done(robot, ro
     for stamp_s in (2.0, 3.0):
         send(robot, room, stamp_s)
         robot.spin(timeout_s=0.5)
+    assert robot.spin(lambda: answer.done() and robot.received['planes'])
     assert [msg.header for msg in robot.received['planes']] == [header(2.0)]
-    assert robot.spin(answer.done)
     assert answer.result().success
     count = robot.received['planes'][0].width
     assert answer.result().message == f'{count} planes in the image of 2.000000000'

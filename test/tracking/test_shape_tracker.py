@@ -6,6 +6,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from plane_detector.config import Config, ShapesConfig
+from plane_detector.shapes import detector
 from plane_detector.tracking.shape_tracker import update_shape_tracks
 from plane_detector.types import Shape, ShapeType
 
@@ -34,8 +36,8 @@ def run(*images, keep_frames=5):
 
 def test_labels_follow_the_shapes_when_their_order_changes():
     names = run(((ball(0.0), ball(1.0)), labels_at(10, 50)),
-                ((ball(1.02), ball(0.02)), labels_at(51, 11)))
-    assert names == [(1, 2), (2, 1)]
+                *(((ball(1.02), ball(0.02)), labels_at(51, 11)),) * 2)
+    assert names == [(1, 2), (2, 1), (2, 1)]
 
 
 def test_a_missed_shape_gets_its_label_back_and_others_do_not_take_it():
@@ -44,6 +46,22 @@ def test_a_missed_shape_gets_its_label_back_and_others_do_not_take_it():
     assert names == [(1,), (), (2,), (1, 2)]
 
 
+def test_a_shape_may_change_its_size_by_half_of_the_larger():
+    assert run(((ball(0.0),), labels_at(10)),
+               ((ball(0.0, radius_m=0.35),), labels_at(10))) == [(1,), (1,)]
+
+
 def test_another_type_or_size_at_the_same_place_is_another_shape():
     for other in (ball(0.0, kind=ShapeType.CYLINDER), ball(0.0, radius_m=0.5)):
         assert run(((ball(0.0),), labels_at(10)), ((other,), labels_at(10))) == [(1,), (2,)]
+
+
+def test_the_detector_gives_each_shape_the_label_of_its_track(monkeypatch):
+    found = iter((((ball(0.0), ball(1.0)), labels_at(10, 50)),
+                  ((ball(1.02), ball(0.02)), labels_at(51, 11))))
+    monkeypatch.setattr(detector, 'load_once', lambda *_: None)
+    monkeypatch.setattr(detector, 'find_shapes', lambda *_: (None, *next(found)))
+    finder, config = detector.ShapeDetector(), Config(shapes=ShapesConfig(types='all'))
+    for expected in ([(0.0, 1), (1.0, 2)], [(1.02, 2), (0.02, 1)]):
+        _, shapes, _ = finder.detect(None, None, None, None, config, in_metres=True)
+        assert [(shape.position_m[0], shape.label) for shape in shapes] == expected

@@ -34,7 +34,6 @@ COMMANDS = {
     'scale': ('scale', 'angles and distances after each way to find the scale'),
     'relative': ('relative', 'angles in relative disparity with the errors of a network'),
     'orientation': ('orientation', 'directions from lines, and planes with them'),
-    'depth': ('depth_network', 'time of the depth network'),
     'node': ('node', 'the node as a process, over DDS'),
     'nyu': ('nyu', 'NYU Depth V2, ours and the methods of the paper'),
     'ablation': ('ablation', 'each stage of the segmentation switched off'),

@@ -39,7 +39,7 @@ from plane_detector.mapping.cells import Cells, View, are_near, vote
 from plane_detector.mapping.heights import PlaneFrames, heights_of
 from plane_detector.mapping.map_plane import MapPlane, as_planes, frames_of, new_axes
 from plane_detector.mapping.plane_map import MapSnapshot, MapUpdate, PlaneMap
-from plane_detector.planes.placed import PlacedDetection
+from plane_detector.planes.outline import PlacedDetection
 from plane_detector.types import CameraIntrinsics, Detection, Plane, Planes
 
 # A surface counts if so many images show this share of their pixels of it.

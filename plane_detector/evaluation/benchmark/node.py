@@ -38,7 +38,6 @@ from tqdm import tqdm
 
 from plane_detector.config import DepthConfig
 from plane_detector.depth.networks import resolve
-from plane_detector.evaluation.benchmark.node_transport import report_transport, use_private_domain
 from plane_detector.evaluation.benchmark.report import HELD_OUT, add_shared, emit, table
 from plane_detector.evaluation.benchmark.samples import room
 from plane_detector.evaluation.datasets import Frame, frames
@@ -48,6 +47,7 @@ from plane_detector.ros.outputs import messages
 from plane_detector.ros.outputs.topics import OUTPUTS
 
 NODE = 'plane_detector'
+_PROFILE = Path(__file__).resolve().parents[3] / 'config' / 'fastdds_large_messages.xml'
 SUBSCRIPTIONS = {'nothing': (), 'planes': ('planes',), 'points, planes': ('points', 'planes'),
                  'all': tuple(OUTPUTS)}
 HELD_S = 0.5
@@ -87,9 +87,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help='by which each image is moved sideways against the one before; 0: a '
                              'still camera, with which the node has less work')
     parser.add_argument('--seconds', type=_seconds, default=10.0, help='of every row')
-    parser.add_argument('--transport', action='store_true',
-                        help='without the node: how many images of which size arrive in another '
-                             'process, by QoS and Fast DDS profile')
 
 
 def _rate(text: str) -> float:
@@ -107,9 +104,6 @@ def _seconds(text: str) -> float:
 
 def run(options: argparse.Namespace) -> None:
     """Print the tables."""
-    if options.transport:
-        report_transport(options.rate, options.seconds)
-        return
     retain_freed_memory(one_heap=True)  # as the node does
     use_private_domain()
     if options.views == _ROOM:
@@ -124,6 +118,18 @@ def run(options: argparse.Namespace) -> None:
         report_load(found, Show(title, views, options.rate, options.motion), options.seconds)
     finally:
         rclpy.try_shutdown()
+
+
+def use_private_domain() -> None:
+    """
+    Set the environment of this process and its children for large messages on this machine.
+
+    Must be called before rclpy.init(). Other ROS nodes, on this machine or in the network, are not
+    affected and do not interfere. Fast DDS settings of the user are kept.
+    """
+    os.environ['ROS_DOMAIN_ID'] = str(1 + os.getpid() % 100)  # above 101 ports may clash
+    os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
+    os.environ.setdefault('FASTRTPS_DEFAULT_PROFILES_FILE', str(_PROFILE))
 
 
 def sources(model: str) -> Iterator[tuple[str, DepthConfig]]:

@@ -169,6 +169,7 @@ class Subscriptions:
         if settings.use_imu:
             wanted['imu'] = Imu, self._on_imu
         self._watch = TopicWatch(node)
+        self._is_depth_watched = depth == 'required'
         self._count = ArrivalCount()
         self._depth_offset_s = self._lost_share = 0.0
         self._unpaired_since_s = math.inf
@@ -261,14 +262,9 @@ class Subscriptions:
         return found + ('synchronise the camera, or: ros2 param set '
                         f'{node_name} stamp_slop {slop_s}')
 
-    def _subscribe(self, role: str, msg_type: Any, on_message: Callable[[Any], Any],
+    def _subscribe(self, role: str, msg_type: Any, on_message: Callable[[Any], None],
                    is_watched: bool) -> None:
-        def receive(msg: Any) -> None:
-            if is_watched:
-                self._watch.heard(role)
-            on_message(msg)
-
-        subscription = InputSubscription(self._node, msg_type, self._names[role], receive,
+        subscription = InputSubscription(self._node, msg_type, self._names[role], on_message,
                                          self._reliability)
         self._subscriptions[role] = subscription
         if is_watched:  # one CameraInfo is enough
@@ -277,6 +273,7 @@ class Subscriptions:
                             is_needed=role != 'imu')
 
     def _on_image(self, msg: Any) -> None:
+        self._watch.heard(self._anchor)
         self._count.add_image(ns_of(msg))
         self._camera_header = msg.header
         epoch = self._synchronizer.epoch
@@ -301,13 +298,17 @@ class Subscriptions:
             f'published by {", ".join(senders)}', throttle_duration_sec=_JUMPS_WITHIN_S)
 
     def _on_camera_info(self, msg: CameraInfo) -> None:
+        self._watch.heard('camera_info')
         self._count.add_camera_info(ns_of(msg))
         self._hand_over(self._synchronizer.add_camera_info(msg))
 
     def _on_depth(self, msg: Any) -> None:
+        if self._is_depth_watched:
+            self._watch.heard(self._depth_role)
         self._hand_over(self._synchronizer.add_depth(msg))
 
     def _on_imu(self, msg: Imu) -> None:
+        self._watch.heard('imu')
         if not self._is_mounted:
             self._is_mounted = self._mount(msg.header.frame_id)
             if self._is_mounted and self._has_tf_for_imu_only and self._transforms is not None:

@@ -21,9 +21,10 @@ from plane_detector.config import Config
 from plane_detector.geometry.disparity import UNITLESS
 from plane_detector.geometry.gravity import gravity_from_acceleration, smooth_gravity
 from plane_detector.ros.calibration import image_size
+from plane_detector.types import JUMP_S
 
 _CACHED = 16
-_JUMP_NS = 1_000_000_000
+JUMP_NS = round(1e9 * JUMP_S)
 _SILENT_IMU_S = 1.0
 
 
@@ -112,7 +113,7 @@ class FrameSynchronizer:
         """Add an image; return the frames that are complete now, oldest first."""
         if self._images.add(msg):
             self.epoch += 1
-            self._depths.forget_after(ns_of(msg) + _JUMP_NS)
+            self._depths.forget_after(ns_of(msg) + JUMP_NS)
             self._gravity.reset()
         dropped = self._images.shrink_to(1 if self._depth_use == 'unused' else _CACHED)
         self._dropped += dropped
@@ -198,7 +199,7 @@ class _MessageBuffer:
     def add(self, msg: Any) -> bool:
         """Add a message; return whether time has jumped back."""
         stamp_ns = ns_of(msg)
-        jumped = self.latest is not None and stamp_ns < self._latest_ns - _JUMP_NS
+        jumped = self.latest is not None and stamp_ns < self._latest_ns - JUMP_NS
         if jumped:
             self._messages.clear()
         self._messages.append((stamp_ns, msg))
@@ -238,7 +239,7 @@ class _MessageBuffer:
 
     def has_recent(self, stamp_ns: int) -> bool:
         """Whether messages arrived shortly before a stamp."""
-        return self.latest is not None and self._latest_ns > stamp_ns - _JUMP_NS
+        return self.latest is not None and self._latest_ns > stamp_ns - JUMP_NS
 
     def nearest(self, stamp_ns: int, slop_ns: int) -> Any:
         """Return the message nearest in time within the slop, or None."""

@@ -16,6 +16,7 @@ from rclpy.node import Node
 from rclpy.qos import ReliabilityPolicy
 
 from plane_detector.ros.inputs.depth_decoding import COMPRESSED_DEPTH
+from plane_detector.ros.inputs.synchronizer import JUMP_NS
 
 # derived: discovery takes about a second on a busy machine; silence before that means nothing.
 GRACE_S = 2.0
@@ -215,7 +216,6 @@ def _interval_s(heard_s: Sequence[float]) -> float:
 _WINDOW_NS = 5_000_000_000
 _MOST_STAMPS = 1000
 _FEWEST_INFOS = 20
-_JUMP_NS = 1_000_000_000
 WARNED_SHARE = 0.2
 """From this share of images on that are missing beside CameraInfo, the node warns."""
 
@@ -267,6 +267,6 @@ class ArrivalCount:
 
 
 def _append(stamps: deque[int], stamp_ns: int) -> None:
-    if stamps and stamp_ns < stamps[-1] - _JUMP_NS:  # time jumped back
+    if stamps and stamp_ns < stamps[-1] - JUMP_NS:  # time jumped back
         stamps.clear()
     stamps.append(stamp_ns)

@@ -14,7 +14,7 @@ from std_msgs.msg import Header
 from plane_detector.config import NodeConfig
 from plane_detector.drawing import LabelPlace, colours_by_label, label_places, overlay
 from plane_detector.mapping.plane_map import MapSnapshot
-from plane_detector.planes.placed import PlacedDetection
+from plane_detector.planes.outline import PlacedDetection
 from plane_detector.ros.calibration import NO_DISTORTION, Distortion
 from plane_detector.ros.outputs import messages
 from plane_detector.stage_timer import StageTimer

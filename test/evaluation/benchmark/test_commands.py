@@ -122,11 +122,11 @@ def test_the_commands_of_the_docs_have_these_options():
 
 
 def test_wrong_input_ends_a_process_with_a_line():
-    run = subprocess.run([sys.executable, '-m', MODULE, 'depth', 'no_such_network'],
+    run = subprocess.run([sys.executable, '-m', MODULE, 'labelled', '--data', 'no_such_folder'],
                          capture_output=True, text=True, check=False)
     assert run.returncode == 1
-    assert 'Traceback' not in run.stderr and 'no_such_network' in run.stderr
-    start = f'`python3 -m {MODULE} depth no_such_network`\n\n'
+    assert 'Traceback' not in run.stderr and 'no_such_folder' in run.stderr
+    start = f'`python3 -m {MODULE} labelled --data no_such_folder`\n\n'
     assert run.stdout.startswith(start), 'the provenance of a result is stated'
     for part in ('cores, Python 3.', f'numpy {np.__version__}', '; commit '):
         assert part in run.stdout

@@ -9,8 +9,7 @@ import rclpy
 
 from plane_detector.config import DepthConfig
 from plane_detector.evaluation.benchmark import node as benchmark_node
-from plane_detector.evaluation.benchmark.node import Show
-from plane_detector.evaluation.benchmark.node_transport import use_private_domain
+from plane_detector.evaluation.benchmark.node import Show, use_private_domain
 from plane_detector.evaluation.datasets import Frame
 from plane_detector.ros.outputs.topics import OUTPUTS
 

@@ -240,6 +240,17 @@ def test_shapes(to_target):
     np.testing.assert_allclose(xyz(table, 'axis_'), [np.zeros(3), turned], atol=1e-6)
 
 
+def test_the_pixels_of_each_shape_have_its_label():
+    ball, = scene.detection().shapes
+    shape_labels = scene.detection().shape_labels.copy()
+    shape_labels[2:6, 2:8], shape_labels[60:64, 90:99] = 1, 2
+    found = scene.detection(shapes=tuple(replace(ball, label=label) for label in (5, 2, 9)),
+                            shape_labels=shape_labels)
+    labels = image_array(make('labels', found=found), '<u2')
+    for k, label in enumerate((5, 2, 9)):
+        assert (labels[shape_labels == k] == 32768 + label).all()
+
+
 def test_without_a_plane_the_clouds_are_empty_and_have_their_fields():
     depth_m, labels = scene.depth_and_labels()
     nothing = Detection(NO_PLANES, np.full_like(labels, -1), 0.0, depth_m, 'metric')
