@@ -118,6 +118,7 @@ class PlaneMap:
         self.images = 0
         self.up = np.array([0.0, 0.0, 1.0])
         self._jump_images = 0
+        self._relative: dict[int, np.ndarray] = {}
         self.jitter_m = 0.0
         self._systematic: deque[float] = deque(maxlen=_RECENT)  # of images, 1/m
 
@@ -173,8 +174,13 @@ class PlaneMap:
     def snapshot(self) -> MapSnapshot:
         """Return the planes that are sure, where the last pose sees them."""
         sure = tuple(plane for plane in self.planes if plane.views > 1 or self.images < 2)
-        # The error of the correction is common to all planes.
-        planes = with_pose_error(as_planes(sure), self.correction.error, self._camera_m)
+        # The error of the correction is common to all planes that the last image does not show.
+        planes = as_planes([replace(plane, covariance=self._relative.get(
+            plane.label, plane.covariance)) for plane in sure])
+        others = with_pose_error(planes, self.correction.error, self._camera_m)
+        is_shown = np.isin(planes.labels, list(self._relative))
+        planes = replace(planes, covariances=np.where(
+            is_shown[:, None, None], planes.covariances, others.covariances))
         to_poses = self.correction.transform.inverse()
         return MapSnapshot(sure, planes.moved(to_poses), to_poses)
 
@@ -253,7 +259,7 @@ class PlaneMap:
                ) -> tuple[tuple[MapPlane, ...], np.ndarray, bool]:
         """Return the planes after an image, the label of each found plane, and whether full."""
         planes, taken = list(self.planes), attempt.taken.copy()
-        self._fuse(planes, attempt, image, weight)
+        self._relative = self._fuse(planes, attempt, image, weight)
         tilt_rad = np.sqrt(np.einsum('kii->k', attempt.found.covariances[:, :3, :3]))
         is_new = (taken < 0) & (tilt_rad < _MOST_TILT_RAD)
         is_full = bool(is_new.sum() + len(planes) > MOST_PLANES)
@@ -265,16 +271,18 @@ class PlaneMap:
         return tuple(planes), labels, is_full
 
     @staticmethod
-    def _fuse(planes: list[MapPlane], attempt: _Attempt, image: _Image, weight: float) -> None:
+    def _fuse(planes: list[MapPlane], attempt: _Attempt, image: _Image, weight: float
+              ) -> dict[int, np.ndarray]:
         """
         Fuse the found planes that are in the map with them, in place.
 
-        By the sum of information; what is known loses its share by the forgetting.
+        By the sum of information; what is known loses its share by the forgetting. Return the
+        covariance (3, 3) of each, relative to the camera, by label.
         """
         shown = np.flatnonzero(attempt.taken >= 0)
         old, place = np.unique(attempt.taken[shown], return_inverse=True)
         frames = frames_of([planes[k] for k in old])
-        heights, covariances = heights_by_others(
+        heights, covariances, by_pose = heights_by_others(
             attempt.correction, frames.picked(place), attempt.found, shown,
             (attempt.taken == attempt.evidence)[shown])
         known = FORGETTING**weight * np.linalg.inv(frames.covariances)
@@ -290,6 +298,14 @@ class PlaneMap:
             plane = planes[index]
             planes[index] = replace(plane, coefficients=coefficients[k], covariance=joint[k],
                                     votes=plane.votes + votes[k])
+        # Pose and plane move together by what the image shows: relative to the camera, a plane in
+        # view is off by less than the sum of both errors. For any gain (Joseph).
+        own = frames.covariances[place]
+        gain = (by_pose + weight * own) @ np.linalg.inv(own + covariances)
+        rest = np.eye(3) - gain
+        seen = (rest @ (own + by_pose) @ rest.transpose(0, 2, 1)
+                + gain @ (covariances - by_pose) @ gain.transpose(0, 2, 1))
+        return {planes[attempt.taken[k]].label: seen[m] for m, k in enumerate(shown.tolist())}
 
     def _new(self, attempt: _Attempt, image: _Image, fresh: np.ndarray) -> list[MapPlane]:
         """Return planes of the map for found planes that are not in it yet."""

@@ -158,7 +158,7 @@ def register(prediction: Prediction, found: Planes, frames: PlaneFrames, index: 
 
 def heights_by_others(correction: Correction, frames: PlaneFrames, found: Planes,
                       index: np.ndarray, is_evidence: np.ndarray
-                      ) -> tuple[np.ndarray, np.ndarray]:
+                      ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """
     Return found planes as heights over those of the map, each by the pose that the others give.
 
@@ -181,6 +181,8 @@ def heights_by_others(correction: Correction, frames: PlaneFrames, found: Planes
     -------
     coefficients : (M, 3) float64
     covariances : (M, 3, 3) float64
+    pose : (M, 3, 3) float64
+        The part of them that is by the error of the pose.
 
     """
     heights, alone, jacobians = heights_of(frames, found, index,
@@ -193,7 +195,8 @@ def heights_by_others(correction: Correction, frames: PlaneFrames, found: Planes
     errors = np.linalg.inv(np.linalg.inv(correction.error + _EXACT) - weighted @ jacobians)
     misfits = (frames.coefficients - heights)[:, :, None]
     steps = jacobians @ errors @ weighted @ misfits
-    return heights - steps[:, :, 0], alone + jacobians @ errors @ transposed
+    pose = jacobians @ errors @ transposed
+    return heights - steps[:, :, 0], alone + pose, pose
 
 
 def motion(before: RigidTransform, after: RigidTransform) -> tuple[float, float]:

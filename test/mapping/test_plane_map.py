@@ -14,6 +14,8 @@ from plane_detector.evaluation.benchmark.map import record, score
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.evaluation.scenes.walks import walk, with_errors
 from plane_detector.mapping.association import Pairs, assign
+from plane_detector.mapping.heights import with_pose_error
+from plane_detector.mapping.map_plane import as_planes
 from plane_detector.mapping.plane_map import PlacedDetection, PlaneMap
 from plane_detector.types import CameraIntrinsics
 
@@ -82,6 +84,20 @@ def test_a_standing_camera_does_not_become_sure():
     few, many = (run(images, still=True)[0] for images in (2, 40))
     for before, after in zip(few.planes, many.planes, strict=True):
         assert np.diag(after.covariance) == pytest.approx(np.diag(before.covariance), rel=0.2)
+
+
+def test_what_the_last_image_shows_is_known_better_where_it_is_seen():
+    planes, updates = run(12, kind='drift')
+    snapshot = planes.snapshot()
+    far = with_pose_error(as_planes(snapshot.surfaces), planes.correction.error,
+                          planes.correction.camera.translation_m).moved(snapshot.to_poses)
+    shown = np.isin(snapshot.planes.labels, updates[-1].labels)
+    assert shown.any() and not shown.all()
+    middles = np.column_stack([far.centroids_m, np.ones(len(far))])
+    ratio = (np.einsum('ki,kij,kj->k', middles, snapshot.planes.covariances, middles)
+             / np.einsum('ki,kij,kj->k', middles, far.covariances, middles))
+    assert (ratio[shown] < 1).all()
+    assert ratio[~shown] == pytest.approx(1.0)
 
 
 def test_one_image_says_little_of_the_systematic_error_of_the_sensor():

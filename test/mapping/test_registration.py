@@ -90,9 +90,10 @@ def test_a_plane_is_no_evidence_of_itself():
         few = frames.picked(index)
         found = register(prediction, planes.moved(SHIFT), few, index)
         seen = planes.moved(found.camera.after(SHIFT))
-        heights, covariances = heights_by_others(found, few, seen, index,
+        heights, covariances, by_pose = heights_by_others(found, few, seen, index,
                                                  np.ones(len(index), bool))
         # Of its distance the other walls, which are at right angles to it, say nothing.
         expected, errors, _ = heights_of(few, planes.moved(SHIFT), index, prediction.covariance)
         assert heights[:, 2] == pytest.approx(expected[:, 2], abs=2e-3)
         assert covariances[:, 2, 2] == pytest.approx(errors[:, 2, 2], rel=0.05)
+        assert (by_pose[:, 2, 2] < covariances[:, 2, 2]).all()
