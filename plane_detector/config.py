@@ -162,7 +162,7 @@ class DirectionsConfig(Settings, section='directions'):
         'likely given their lines and the axes of the scene; measured depth is not changed')
     hold_time: float = setting(
         0.1, 'the lines of an image are kept for the images of this time after it, by their '
-        'stamps, with measured depth, where they only tell gravity, and with a network while '
+        'stamps, with measured depth, where they only give gravity, and with a network while '
         'nothing moves; five to twenty times longer while the normals of planes show that the '
         'camera does not turn; 0: lines are found in every image', 's', 0.0, 1.0, inner=True)
 

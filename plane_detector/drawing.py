@@ -68,7 +68,7 @@ def label_colours(labels: np.ndarray) -> np.ndarray:
 
 def plane_colours(labels: np.ndarray, classes: np.ndarray) -> np.ndarray:
     """
-    Return the colour of each plane: its hue tells the class, its lightness the label.
+    Return the colour of each plane: the hue shows the class, the lightness the label.
 
     Parameters
     ----------

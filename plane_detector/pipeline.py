@@ -28,10 +28,11 @@ from plane_detector.directions.gravity_choice import NO_GRAVITY
 from plane_detector.geometry.disparity import UNITLESS, to_disparity
 from plane_detector.geometry.projection import check_depth, check_image
 from plane_detector.ground.ground import find_ground
-from plane_detector.planes.normal_map import turned_by_normals
+from plane_detector.planes.measurement import measure_planes
+from plane_detector.planes.normal_map import reoriented_by_normals
 from plane_detector.planes.patches import fill_patches
 from plane_detector.planes.ray_planes import ray_planes
-from plane_detector.planes.reorientation import measure_turned
+from plane_detector.planes.reorientation import measure_reoriented
 from plane_detector.scale.estimate import ScaleEstimate, apply_scale
 from plane_detector.scale.methods import ScaleEvidence, estimate_scale
 from plane_detector.scale.temporal_filter import ScaleState, update_scale
@@ -239,8 +240,9 @@ class PlaneDetector:
                 seen.is_measured and around.gravity.gravity_camera is not None))
         with timer('patches'):
             # 7. Pixels off all planes, if the colours show better where a surface ends.
-            labels = fill_patches(planes.labels, regions.patches, planes.planes, depth_m,
-                                  seen.intrinsics, shape_labels)
+            labels = planes.labels if not regions.patches.size else fill_patches(
+                planes.labels, regions.patches, planes.planes, depth_m, seen.intrinsics,
+                shape_labels)
         return Detection(planes.planes, labels, planes.disparity_noise,
                          systematic_noise=planes.systematic_noise, depth_m=depth_m,
                          scale_method=scale.unit_method, scale_note=str(scale),
@@ -371,8 +373,9 @@ def _scaled_depth(seen: Observation, scale: ScaleEstimate, max_depth_m: float
 def _rescaled(regions: PixelRegions, scale: ScaleEstimate, seen: Observation) -> PixelRegions:
     """Return the regions in the unit of the scale, rotated by the network's normals if any."""
     regions = regions.rescaled(scale.scale, scale.shift)
-    return (turned_by_normals(regions, seen.prediction, seen.intrinsics)
-            if scale.has_true_angles else regions)
+    if seen.prediction.normals_camera is None or not scale.has_true_angles:
+        return regions
+    return reoriented_by_normals(regions, seen.prediction, seen.intrinsics)
 
 
 def _measured_planes(regions: PixelRegions, intrinsics: CameraIntrinsics, config: Config,
@@ -384,6 +387,9 @@ def _measured_planes(regions: PixelRegions, intrinsics: CameraIntrinsics, config
     Their normals have an error by the shift of the disparity.
     """
     min_pixels = config.segmentation.min_plane_share * regions.labels.size
-    turned = measure_turned(regions, intrinsics, min_pixels, lines, shift_rad)
-    return PlaneSegmentation(*turned, regions.noise.mean_sigma,
+    if lines is None or not len(lines.axes):
+        found = measure_planes(regions, intrinsics, min_pixels)
+    else:
+        found = measure_reoriented(regions, intrinsics, min_pixels, lines, shift_rad)
+    return PlaneSegmentation(*found, regions.noise.mean_sigma,
                              systematic_noise=regions.noise.systematic_sigma)

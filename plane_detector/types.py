@@ -184,7 +184,7 @@ class Plane:
     covariance: np.ndarray  # (4, 4) float64, of (normal, offset_m) from the fit
     confidence: float  # probability, 0 to 1, that the plane exists in the scene
     # Probability that the plane is horizontal, vertical or neither as the normal says, if lines of
-    # the image oriented it; NaN: its depth alone did, and the covariance tells.
+    # the image oriented it; NaN: its depth alone did, and the covariance says how well.
     class_certainty: float = float('nan')
     plane_class: PlaneClass = PlaneClass.UNKNOWN
     label: int = 0  # above 0, the same from image to image if tracked; 0: not labelled

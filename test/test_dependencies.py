@@ -75,7 +75,7 @@ def missing(name):
     return f'raise ModuleNotFoundError("No module named {name!r}", name={name!r})'
 
 
-@pytest.mark.parametrize('module, name, text, told', [
+@pytest.mark.parametrize('module, name, text, expected', [
     ('ros.node', 'numba', missing('numba'),
      "No module named 'numba': apt install python3-numba, or pip install 'numba>=0.58'"),
     ('ros.node', 'numba', "raise ImportError('Numba needs NumPy 1.26 or less')",
@@ -90,11 +90,11 @@ def missing(name):
      'libGL.so.1: no such file: apt install python3-opencv'),
     ('tools.show', 'rclpy', missing('rclpy'), ".*'rclpy': source /opt/ros/jazzy"),
     ('tools.rviz', 'rclpy', missing('rclpy'), ".*'rclpy': source /opt/ros/jazzy")])
-def test_a_broken_package_ends_the_program_with_the_remedy(module, name, text, told, tmp_path):
+def test_a_broken_package_ends_the_program_with_the_remedy(module, name, text, expected, tmp_path):
     (tmp_path / f'{name}.py').write_text(text)
     done = subprocess.run(
         [sys.executable, '-m', f'plane_detector.{module}'], cwd=ROOT, capture_output=True,
         text=True, env={**os.environ, 'PYTHONPATH': str(tmp_path)}, check=False)
     assert done.returncode == 1, done.stderr
-    assert re.match(told, done.stderr)
+    assert re.match(expected, done.stderr)
     assert done.stderr.count('\n') == 1

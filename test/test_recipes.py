@@ -21,12 +21,12 @@ PARAMETER_FILES = [path for path in RECIPES if 'nav2' not in path.name]
 
 @pytest.mark.parametrize('path', PARAMETER_FILES, ids=lambda path: path.name)
 def test_the_node_and_the_replay_take_the_parameters(path, monkeypatch):
-    told = []
+    warnings = []
     with bare_node('plane_detector', ('--params-file', str(path))) as node:
-        monkeypatch.setattr(node.get_logger(), 'warning', told.append)
+        monkeypatch.setattr(node.get_logger(), 'warning', warnings.append)
         config, settings = declare(node, Config()), declare(node, NodeConfig())
         warn_of_unknown(node)
-    assert told == []
+    assert warnings == []
     assert (config, settings) == load_settings(path, ())
     assert (config, settings) != (updated(Config(), []), updated(NodeConfig(), []))
 

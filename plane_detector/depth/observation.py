@@ -44,7 +44,7 @@ class Observation:
     config: Config  # settings for this image
     prediction: Prediction  # the input of the segmentation
     is_measured: bool = False  # the prediction is the measurement of a sensor, in metres
-    sensor_depth_m: np.ndarray | None = None  # (H, W), may tell the scale of the prediction
+    sensor_depth_m: np.ndarray | None = None  # (H, W), may give the scale of the prediction
     # Standard deviation of the disparity stated for the source, as a share of the disparities of
     # an image; 0: not known.
     noise_share: float = 0.0

@@ -23,13 +23,14 @@ from plane_detector.directions.temporal_filter import carried
 from plane_detector.directions.vanishing import SceneDirections, find_directions
 from plane_detector.types import CameraIntrinsics, PlaneSegmentation
 
-# While a camera does not turn, as its planes tell, the lines are held for so many times longer,
+# While a camera does not turn, as its planes show, the lines are held for so many times longer,
 # and each time that they are found again for twice as long, up to 2 s.
 STEADY_TIMES, MOST_STEADY_TIMES = 5, 20
 # derived: a tenth of what gravity from an image may be off. With noise of .001, .002 and .004 per
 # metre on real images, 100, 92 and 82 % of the frames of a still camera are within it.
 TURNED_RAD = math.radians(0.5)
-# Of a plane whose normal counts, and between two of them: a plane does not tell turns about it.
+# Of a plane whose normal counts, and between two of them: a plane does not show turns about
+# its normal.
 LARGE_SHARE, APART_RAD = 0.02, math.radians(20)
 
 
@@ -66,7 +67,7 @@ class CameraImage:
     disparity: np.ndarray | None = None
     has_shift: bool = False  # of the disparity; without one, its normals are evidence, too
     stamp_s: float = float('nan')  # time of the image; NaN: not known
-    is_still: bool = False  # nothing moved since the image before, as far as its depth tells
+    is_still: bool = False  # nothing moved since the image before, as far as its depth shows
 
 
 def find_in_image(image: CameraImage, expected: Expected | None = None,
@@ -159,7 +160,7 @@ class DirectionFinder:
 
     def note_planes(self, found: PlaneSegmentation, is_trusted: bool) -> None:
         """
-        Note the planes of the image, which tell whether the camera turns.
+        Note the planes of the image, which show whether the camera turns.
 
         They are not trusted with a network's depth, or without a direction of gravity.
         """

@@ -31,7 +31,7 @@ MIN_FRAME_SHARE = 0.5
 def classify_planes(planes: Planes, down: np.ndarray,
                     tolerance_deg: float = TOLERANCE_DEG) -> tuple[PlaneClass, ...]:
     """
-    Tell walls, the ceiling and other horizontal planes apart.
+    Distinguish walls, the ceiling and other horizontal planes.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ def classify_planes(planes: Planes, down: np.ndarray,
     -------
     tuple of PlaneClass
         One per plane. The ceiling is the highest horizontal plane that faces down, with all planes
-        at that level. Which of those that face up is the floor, the pixels tell: see
+        at that level. Which of those that face up is the floor, the pixels decide: see
         :func:`~plane_detector.ground.ground.find_ground`.
 
     Examples

@@ -40,7 +40,7 @@ MOST_APART_DEG = 45.0
 MIN_SAMPLES = 20
 
 
-def turned_by_normals(regions: PixelRegions, prediction: Prediction,
+def reoriented_by_normals(regions: PixelRegions, prediction: Prediction,
                       intrinsics: CameraIntrinsics) -> PixelRegions:
     """
     Rotate regions towards the normals of a network, weighted by the noise of both.
@@ -50,7 +50,7 @@ def turned_by_normals(regions: PixelRegions, prediction: Prediction,
     regions : PixelRegions
         Of 1/z in one unit, with true angles.
     prediction : Prediction
-        Of the same image; without normals the regions are returned unchanged.
+        Of the same image, with normals.
     intrinsics : CameraIntrinsics
 
     Returns
@@ -60,8 +60,6 @@ def turned_by_normals(regions: PixelRegions, prediction: Prediction,
         normals belong to another surface, keeps its own.
 
     """
-    if prediction.normals_camera is None:
-        return regions
     normals_camera = prediction.normals_camera[::STEP_PX, ::STEP_PX]
     jacobian = ray_plane_jacobian(intrinsics)
     coefficients = regions.coefficients.copy()

@@ -42,7 +42,7 @@ def fill_patches(labels: np.ndarray, patches: np.ndarray, planes: Planes, depth_
     Returns
     -------
     (H, W) int32
-        The same array if there are no patches.
+        The same array if there are no planes.
 
     Examples
     --------
@@ -55,7 +55,7 @@ def fill_patches(labels: np.ndarray, patches: np.ndarray, planes: Planes, depth_
     array([ 0,  0,  0,  0,  0,  0,  0, -1], dtype=int32)
 
     """
-    if not patches.size or not len(planes):
+    if not len(planes):
         return labels
     # Of all shapes together, one kind more than planes.
     known = np.where(shape_labels >= 0, len(planes), labels) if shape_labels.size else labels

@@ -4,8 +4,8 @@
 Axes that the planes of a good depth have in common, against those of misleading lines.
 
 The lines of stripes, posters and tiles laid at an angle may agree on axes that no plane has.
-Planes tell: if their normals are as accurate as they look, most are along the true axes within
-half a degree, and at false ones only by chance.
+The planes decide: if their normals are as accurate as they look, most are along the true axes
+within half a degree, and at false ones only by chance.
 
 1. Every two planes that may be perpendicular propose axes. The most likely proposal is fitted to
    the planes near it, weighted by their errors.

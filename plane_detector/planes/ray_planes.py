@@ -57,8 +57,8 @@ def ray_planes(regions: PixelRegions, intrinsics: CameraIntrinsics) -> Disparity
     correlated_px = max((CORRELATION_SHARE * regions.grid.width_px) ** 2, 1.0)
     variances = _variances(regions, moments)[kept]
     # Border pixels outside whole cells carry the same information per pixel.
-    tells = (pixels / count)[kept] / (correlated_px * variances)
-    information = products[kept] * tells[:, None, None]
+    weights = (pixels / count)[kept] / (correlated_px * variances)
+    information = products[kept] * weights[:, None, None]
     middle = moments[:, [X, Y, N]] / count[:, None] @ to_rays.T
     return DisparityPlanes(regions.coefficients[kept] @ jacobian.T, information,
                            middle[kept, :2], pixels[kept] / max(pixels[kept].sum(), 1.0), kept)

@@ -36,9 +36,9 @@ MIN_PROBABILITY = 0.5
 STEP_PER_RAD = 0.08
 
 
-def measure_turned(regions: PixelRegions, intrinsics: CameraIntrinsics, min_pixels: float,
-                   lines: ImageDirections | None,
-                   shift_rad: float = 0.0) -> tuple[Planes, np.ndarray]:
+def measure_reoriented(regions: PixelRegions, intrinsics: CameraIntrinsics, min_pixels: float,
+                       lines: ImageDirections, shift_rad: float = 0.0
+                       ) -> tuple[Planes, np.ndarray]:
     """
     Measure planes, rotated by the lines of the image if these give an orientation.
 
@@ -49,8 +49,8 @@ def measure_turned(regions: PixelRegions, intrinsics: CameraIntrinsics, min_pixe
     intrinsics : CameraIntrinsics
     min_pixels : float
         Smaller planes are dropped.
-    lines : ImageDirections or None
-        None: the planes are not rotated.
+    lines : ImageDirections
+        With axes.
     shift_rad : float
         Error of normals by an uncertain shift of the disparity.
 
@@ -63,7 +63,7 @@ def measure_turned(regions: PixelRegions, intrinsics: CameraIntrinsics, min_pixe
 
     """
     planes, labels = measure_planes(regions, intrinsics, min_pixels)
-    if lines is None or not len(lines.axes) or not len(planes):
+    if not len(planes):
         return planes, labels
     turned = reorient(replace(regions, labels=labels,
                               rotated_rad=_rotations(regions, labels, len(planes))),

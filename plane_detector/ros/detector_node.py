@@ -262,7 +262,7 @@ class PlaneDetectorNode(LifecycleNode):
             facts['advice'] = large_image(report)
             if pace := slow_network(report, facts.get('network_input', '')):
                 facts['network_pace'] = pace
-                self._health.tell_once('network_pace', pace)
+                self._health.warn_once('network_pace', pace)
         if self._health.failure:
             return DiagnosticStatus.ERROR, self._health.failure, facts
         if self._inputs is None:
@@ -273,18 +273,18 @@ class PlaneDetectorNode(LifecycleNode):
                 self.get_logger().warning(event)
         self._inputs.follow_publishers()
         for key, misfit in self._outputs.misfits().items():
-            self._health.tell_once(key, misfit)
+            self._health.warn_once(key, misfit)
         silence, obstacle = self._inputs.problem(), self._inputs.obstacle()
         if not silence and report.unpaired_lately and not report.stage_seconds:
             silence = self._inputs.explain_unpaired(self.get_fully_qualified_name())
             obstacle = obstacle or silence
-            self._health.tell_changes('unpaired', silence)
+            self._health.warn_of_changes('unpaired', silence)
         if not silence:
             silence = self._inputs.explain_loss()
-            self._health.tell_changes('loss', silence)
+            self._health.warn_of_changes('loss', silence)
         if not silence and self._live_map is not None:
             silence = self._live_map.problem()
-            self._health.tell_changes('map', silence)
+            self._health.warn_of_changes('map', silence)
         self._requests.expire(obstacle)
         arrivals = self._inputs.arrivals()
         facts['images_received'] = (
@@ -297,7 +297,7 @@ class PlaneDetectorNode(LifecycleNode):
         own = self.get_name(), self.get_namespace()
         if self.get_node_names_and_namespaces().count(own) > 1:
             name = self.get_fully_qualified_name()
-            self._health.tell_once('namesake', (
+            self._health.warn_once('namesake', (
                 f'another node is called {name} too: both publish into the same topics; start one '
                 'of them with -r __node:=NAME (or a node of this name has just died)'))
 

@@ -158,8 +158,8 @@ class Health:
         """Discard the state of earlier frames: missing inputs are logged again."""
         self._gap = ''
         self._misplaced_s, self._misplaced = math.nan, ''
-        self._told: set[str] = set()
-        self._last_told: dict[str, str] = {}
+        self._warned: set[str] = set()
+        self._last_warned: dict[str, str] = {}
         self._last: Detection | None = None
 
     @property
@@ -179,9 +179,9 @@ class Health:
             self._logger.info(detection.scale_event)
         before, self._gap = self._gap, missing_for_classes(detection, wanted)
         if self._gap:  # numbers in it vary from frame to frame
-            self.tell_once(_NUMBER.sub('', self._gap), self._gap)
-        elif before and (after := f'after {_NUMBER.sub("", before)}') not in self._told:
-            self._told.add(after)
+            self.warn_once(_NUMBER.sub('', self._gap), self._gap)
+        elif before and (after := f'after {_NUMBER.sub("", before)}') not in self._warned:
+            self._warned.add(after)
             self._logger.info(f'no longer: {before.partition(":")[0]}')
 
     def _note_mounting(self, problem: str, stamp_s: float) -> None:
@@ -192,19 +192,19 @@ class Health:
             self._misplaced_s = stamp_s
         elif stamp_s - self._misplaced_s >= _MISPLACED_S:
             self._misplaced = f'{problem}: check scale.camera_height, scale.gravity or base_frame'
-            self.tell_once('misplaced', self._misplaced)
+            self.warn_once('misplaced', self._misplaced)
 
-    def tell_once(self, key: str, warning: str) -> None:
+    def warn_once(self, key: str, warning: str) -> None:
         """Log a warning whose wording may vary, but only once per key."""
-        if key not in self._told:
-            self._told.add(key)
+        if key not in self._warned:
+            self._warned.add(key)
             self._logger.warning(warning)
 
-    def tell_changes(self, key: str, warning: str) -> None:
+    def warn_of_changes(self, key: str, warning: str) -> None:
         """Log a warning when its wording changes, and again after it was empty."""
-        if warning and self._last_told.get(key) != warning:
+        if warning and self._last_warned.get(key) != warning:
             self._logger.warning(warning)
-        self._last_told[key] = warning
+        self._last_warned[key] = warning
 
     def status(self, report: Report, silence: str, is_idle: bool = False) -> tuple[bytes, str]:
         """
@@ -224,7 +224,7 @@ class Health:
 
 
 def _facts_of(detection: Detection) -> dict[str, str]:
-    """Return what the diagnostics tell of a frame."""
+    """Return the facts of a frame for the diagnostics."""
     facts = {'scale': detection.scale_method, 'scale_note': detection.scale_note,
              'gravity': detection.gravity_source}
     if detection.scale_method != RELATIVE:
@@ -249,7 +249,7 @@ def _facts_of(detection: Detection) -> dict[str, str]:
         facts['smallest_obstacle_m'] = ', '.join(
             f'{height_m:.3f} at {ahead_m:g} m'
             for ahead_m, height_m in zip(OBSTACLE_DISTANCES_M, smallest_m, strict=True))
-    facts['drops'] = (f'none told: {detection.drop_note}' if detection.drop_note
+    facts['drops'] = (f'not looked for: {detection.drop_note}' if detection.drop_note
                       else f'{len(detection.drops_m)} points')
     return facts
 

@@ -30,9 +30,9 @@ class FaultLog:
 
     def __init__(self, logger: Any, what: str):
         self._logger, self._what = logger, what
-        self._told_s: dict[tuple[type, str, int], float] = {}
+        self._logged_s: dict[tuple[type, str, int], float] = {}
 
-    def tell(self, error: Exception, where: str = '') -> str:
+    def report(self, error: Exception, where: str = '') -> str:
         """Log the reason and where it arose, at limited intervals; return the reason alone."""
         reason = plain(str(error) if isinstance(error, ValueError)
                        else f'{type(error).__name__}: {error}')
@@ -40,7 +40,7 @@ class FaultLog:
         self._log(error, reason + (where and f' ({where})'), not isinstance(error, ValueError))
         return reason
 
-    def tell_bug(self, error: Exception) -> None:
+    def report_bug(self, error: Exception) -> None:
         """Log an exception that no code expects, with its traceback, at limited intervals."""
         self._log(error, plain(f'{type(error).__name__}: {error}'), with_traceback=True)
 
@@ -54,7 +54,7 @@ class FaultLog:
 
     def _is_due(self, kind: tuple[type, str, int]) -> bool:
         now_s = time.monotonic()
-        if now_s - self._told_s.get(kind, -WARN_PERIOD_S) < WARN_PERIOD_S:
+        if now_s - self._logged_s.get(kind, -WARN_PERIOD_S) < WARN_PERIOD_S:
             return False
-        self._told_s[kind] = now_s
+        self._logged_s[kind] = now_s
         return True

@@ -301,6 +301,6 @@ class FrameFlow:
     def _skip(self, frame: Frame, error: Exception) -> None:
         """Log why a frame has no result: one frame must not end the node."""
         with current_stop().uncut():
-            reason = self._records.faults.tell(error, f'image of {stamp_text(frame.image)}')
+            reason = self._records.faults.report(error, f'image of {stamp_text(frame.image)}')
             self._records.statistics.add_skipped(reason)
             self._records.requests.finish(frame, False, f'frame skipped: {reason}')

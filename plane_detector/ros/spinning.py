@@ -105,7 +105,7 @@ def _spin(node: Node, stop: Stop) -> None:
             except (CannotRunError, ExternalShutdownException):
                 raise
             except Exception as error:
-                faults.tell_bug(error)
+                faults.report_bug(error)
     finally:
         node.destroy_node()
         executor.shutdown()

@@ -122,8 +122,7 @@ class Autostart:
         """
         Configure and activate, unless the node has been configured by others in the meantime.
 
-        Raises CannotRunError if it failed and is told to exit; this ends the spinning of the
-        executor.
+        Raises CannotRunError if it failed and ``exits``; this ends the spinning of the executor.
         """
         self._node.destroy_timer(self._timer)
         if self._node.state != 'unconfigured':

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from plane_detector.planes.patches import fill_patches
-from plane_detector.segmentation.cells.pixel_regions import NO_PATCHES
 from plane_detector.types import NO_PLANES, CameraIntrinsics, Plane, Planes
 
 CAMERA = CameraIntrinsics.from_field_of_view(42, 30, 60.0)
@@ -70,9 +69,8 @@ def test_pixels_of_no_patch_stay():
     np.testing.assert_array_equal(fill_patches(labels, patches, planes, depths_m, CAMERA), labels)
 
 
-def test_without_patches_or_planes_the_labels_are_returned():
+def test_without_planes_the_labels_are_returned():
     patches, planes, labels, depths_m = two_walls()
-    assert fill_patches(labels, NO_PATCHES, planes, depths_m, CAMERA) is labels
     assert fill_patches(labels, patches, NO_PLANES, depths_m, CAMERA) is labels
 
 

@@ -16,7 +16,7 @@ from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.evaluation.scenes.rooms import attic, hexagon_room, random_room
 from plane_detector.evaluation.scenes.textures import ramp_room, rolled_room, textured
 from plane_detector.planes.measurement import measure_planes
-from plane_detector.planes.reorientation import measure_turned, reorient
+from plane_detector.planes.reorientation import measure_reoriented, reorient
 from plane_detector.segmentation.cells.grid import DisparityImage, build_cell_grid
 from plane_detector.segmentation.cells.pixel_regions import PixelRegions
 from plane_detector.segmentation.segment import metric_noise_floor, segment
@@ -136,7 +136,7 @@ def test_pieces_that_normals_have_rotated_are_joined_as_far_as_their_depth_is_be
     regions = PixelRegions(
         image.values, (ray_x > 0).astype(np.int32), np.array([[0, 0, mean] for mean in means]),
         grid, metric_noise_floor(CONFIG, 0.002), rotated_rad=np.radians([rotated_deg] * 2))
-    planes, _ = measure_turned(regions, camera, 100, upright_axes(camera))
+    planes, _ = measure_reoriented(regions, camera, 100, upright_axes(camera))
     assert len(planes) == pieces
 
 

@@ -12,7 +12,7 @@ from plane_detector.ros import fault_log, point_query
 from plane_detector.ros.fault_log import FaultLog
 
 
-def told(log, kind, text):
+def reported(log, kind, text):
     """Raise an error of a kind, and tell the log of it."""
     def raise_value_error():
         raise ValueError(text)
@@ -22,7 +22,7 @@ def told(log, kind, text):
     try:
         (raise_value_error if kind is ValueError else raise_type_error)()
     except kind as error:
-        return log.tell(error)
+        return log.report(error)
 
 
 @pytest.fixture
@@ -44,10 +44,10 @@ def test_control_characters_are_escaped(text):
 
 def test_the_kind_is_the_line_that_raised_and_not_the_text(log, lines):
     for k in range(100):
-        assert told(log, ValueError, f'fault {k}') == f'fault {k}'
+        assert reported(log, ValueError, f'fault {k}') == f'fault {k}'
     assert lines == ['frame skipped: fault 0']
-    told(log, TypeError, '5')
-    told(log, TypeError, '5')
+    reported(log, TypeError, '5')
+    reported(log, TypeError, '5')
     assert lines[1] == 'frame skipped: TypeError: 5'
     assert 'in raise_type_error' in lines[2]
     assert len(lines) == 3
@@ -58,7 +58,7 @@ def test_a_persistent_fault_is_logged_again(log, lines, monkeypatch):
     monkeypatch.setattr(fault_log.time, 'monotonic', lambda: now_s[0])
     for step_s in (0, fault_log.WARN_PERIOD_S - 1, 2):
         now_s[0] += step_s
-        told(log, ValueError, 'again')
+        reported(log, ValueError, 'again')
     assert len(lines) == 2
 
 

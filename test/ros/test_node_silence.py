@@ -47,16 +47,16 @@ def test_depth_with_other_stamps_is_told_with_the_difference_and_mended_live(rob
         robot.publish('depth', image_msg(room.depth_m, '32FC1', stamp_s + off_s))
         robot.spin(timeout_s=0.05)
 
-    def told(text):
+    def is_logged(text):
         return robot.spin(lambda: send_both(off_s) or text in robot.log())
     off_s = 0.06
-    assert told('the nearest is 60 ms later; synchronise the camera, or: ros2 param set '
+    assert is_logged('the nearest is 60 ms later; synchronise the camera, or: ros2 param set '
                 '/plane_detector stamp_slop 0.08')
     for _ in range(10):
         send_both(off_s)
     assert robot.log().count('synchronise the camera') == 1
     off_s = -0.08
-    assert told('the nearest is 80 ms earlier'), 'again when it changes'
+    assert is_logged('the nearest is 80 ms earlier'), 'again when it changes'
     assert not robot.received['planes']
     node.set_parameters([Parameter('stamp_slop', value=0.1)])
     assert robot.spin(lambda: send_both(off_s) or robot.received['planes'])
@@ -65,7 +65,7 @@ def test_depth_with_other_stamps_is_told_with_the_difference_and_mended_live(rob
 STAMPS_S = iter(np.arange(1.0, 100_000.0, 0.2))
 
 
-def depth_arrives(robot, room, off_s, told, with_info=True):
+def depth_arrives(robot, room, off_s, expected, with_info=True):
     """Send images whose depth is so much later until the log says something; return the log."""
     def is_told():
         stamp_s = next(STAMPS_S)
@@ -74,7 +74,7 @@ def depth_arrives(robot, room, off_s, told, with_info=True):
         robot.publish('image', image_msg(room.rgb, 'rgb8', stamp_s))
         robot.publish('depth', image_msg(room.depth_m, '32FC1', stamp_s + off_s))
         robot.spin(timeout_s=0.1)
-        return told in robot.log()
+        return expected in robot.log()
     assert robot.spin(is_told, 60.0), robot.log()
     return robot.log()
 
@@ -164,7 +164,7 @@ def test_a_bag_in_a_loop_loses_no_images():
 IMAGE, RAW = 'sensor_msgs/msg/CompressedImage', 'sensor_msgs/msg/Image'
 
 
-@pytest.mark.parametrize('role, published, told', [
+@pytest.mark.parametrize('role, published, expected', [
     ('image', {'/camera/depth/image_raw': RAW, '/camera/color/image_raw': RAW},
      'there are /camera/color/image_raw: remap with --ros-args -r image:=/camera/color/image_raw'),
     ('depth', {'/camera/depth/image_raw': RAW, '/camera/color/image_raw': RAW},
@@ -174,8 +174,8 @@ IMAGE, RAW = 'sensor_msgs/msg/CompressedImage', 'sensor_msgs/msg/Image'
      '/color/compressed is a sensor_msgs/msg/CompressedImage: set image_transport to compressed'),
     ('image', {'/a/infrared': RAW, '/z/image_raw': RAW}, 'there are /z/image_raw, /a/infrared'),
 ])
-def test_the_topic_that_is_proposed_is_of_the_kind_and_the_nearest(role, published, told):
-    assert told in explain_silence(role, '/z/image', RAW, (), published)
+def test_the_topic_that_is_proposed_is_of_the_kind_and_the_nearest(role, published, expected):
+    assert expected in explain_silence(role, '/z/image', RAW, (), published)
 
 
 def test_a_topic_that_is_in_use_is_not_proposed_for_depth(robot, room):
@@ -419,7 +419,7 @@ def detection(classes, scale='metric', planes=2, gravity_note='', shape=(480, 64
                            disparity_noise=0.002, systematic_noise=0.001)
 
 
-@pytest.mark.parametrize('found, wanted, told', [
+@pytest.mark.parametrize('found, wanted, expected', [
     (detection((1, 3)), (POINTS_WITHOUT_FLOOR,), ''),
     (detection((), planes=0), ('planes',), ''),
     (detection((), planes=0), (POINTS_WITHOUT_FLOOR,), 'gravity is not known'),
@@ -432,10 +432,10 @@ def detection(classes, scale='metric', planes=2, gravity_note='', shape=(480, 64
     (detection((0, 0), 'relative'), ('planes',), 'neither metres nor gravity'),
     (detection((1, 0), 'relative'), ('planes',), ''),
     (detection((1, 0), 'relative'), (POINTS_WITHOUT_FLOOR,), 'unit of depth is not known (why)')])
-def test_gaps(found, wanted, told):
+def test_gaps(found, wanted, expected):
     gap = missing_for_classes(found, wanted)
-    assert told in gap
-    assert bool(told) == bool(gap)
+    assert expected in gap
+    assert bool(expected) == bool(gap)
 
 
 def test_a_camera_that_is_not_mounted_as_stated_is_reported_if_it_lasts():
@@ -511,5 +511,5 @@ def test_without_a_unit_no_drops_are_told_and_why(robot, room):
           scale__gravity=room.gravity_camera.tolist())
     send(robot, room)
     assert robot.wait_for('planes')
-    assert robot.spin(lambda: robot.diagnosis()[1].get('drops', '').startswith('none told: '))
+    assert robot.spin(lambda: robot.diagnosis()[1].get('drops', '').startswith('not looked for: '))
     assert not robot.received['drops'] and not robot.received['ground']

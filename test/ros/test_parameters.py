@@ -71,17 +71,17 @@ def test_integers_are_accepted_for_floats(make_node):
 
 
 def warnings_of(node, monkeypatch):
-    told = []
-    monkeypatch.setattr(node.get_logger(), 'warning', told.append)
+    warnings = []
+    monkeypatch.setattr(node.get_logger(), 'warning', warnings.append)
     parameters.warn_of_unknown(node)
-    return told
+    return warnings
 
 
 def test_unknown_names_are_reported_with_the_most_similar(make_node, monkeypatch):
     node = make_node(inner__cuont=7, gain=2.5, count=1, zzz='?')
     parameters.declare(node, Outer())
-    (told,) = warnings_of(node, monkeypatch)
-    assert told.endswith('count (meant: inner.count?), inner.cuont (meant: inner.count?), zzz')
+    (warnings,) = warnings_of(node, monkeypatch)
+    assert warnings.endswith('count (meant: inner.count?), inner.cuont (meant: inner.count?), zzz')
 
 
 def test_descriptors_tell_unit_range_and_choices(make_node):

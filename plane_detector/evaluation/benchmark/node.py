@@ -356,12 +356,12 @@ def _moved(view: Frame, shift_px: int) -> Frame:
 
 def median_stages(statuses: Sequence[dict[str, str]]) -> dict[str, float]:
     """Return the median of each stage's time in milliseconds over the seconds with frames."""
-    told = [{key.removeprefix('latency.').removesuffix('_ms'): float(value)
-             for key, value in status.items() if key.startswith('latency.')}
-            for status in statuses]
-    told = [stages for stages in told if len(stages) > 1]  # without frames there is but a total
-    return {stage: float(np.median([stages[stage] for stages in told]))
-            for stage in (told[-1] if told else {})}
+    times = [{key.removeprefix('latency.').removesuffix('_ms'): float(value)
+              for key, value in status.items() if key.startswith('latency.')}
+             for status in statuses]
+    times = [stages for stages in times if len(stages) > 1]  # without frames only a total
+    return {stage: float(np.median([stages[stage] for stages in times]))
+            for stage in (times[-1] if times else {})}
 
 
 def core_seconds(process_id: int) -> float:

@@ -50,8 +50,8 @@ class FrameConverter:
     """
     Converts frames; the maps of the rectification are cached until the calibration changes.
 
-    The name of the image topic tells whether the images are rectified; ``depth`` what measured
-    depth is like.
+    The name of the image topic shows whether the images are rectified; ``depth`` is what is known
+    of measured depth.
     """
 
     def __init__(self, image_topic: str, depth: DepthConfig | None = None):

@@ -79,7 +79,7 @@ def ground_to_msg(frame: DetectedFrame) -> PointCloud2 | None:
 
 
 def drops_to_msg(frame: DetectedFrame) -> PointCloud2 | None:
-    """Return points along the edges and by how much it is down; None if they cannot be told."""
+    """Return points along the edges and how deep each drop is; None if none can be detected."""
     found = frame.detection
     if found.drop_note:
         return None

@@ -147,7 +147,7 @@ def _registered(bag: BagReader, camera: InputTopics, depths: Sequence[Topic]) ->
 
 
 def _described(bag: BagReader, depth: str) -> str:
-    """Return a depth topic with what tells whether it is registered."""
+    """Return a depth topic and what shows whether it is registered."""
     msg = _first(bag, depth)
     width, height = depth_size(msg)
     kind = getattr(msg, 'encoding', getattr(msg, 'format', 'points'))

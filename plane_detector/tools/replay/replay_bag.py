@@ -191,7 +191,7 @@ def replay(options: ReplayOptions, quiet: bool = False) -> Tally:
         network cannot run, or a stop was requested before the first frame.
 
     """
-    def tell(text: str) -> None:
+    def report(text: str) -> None:
         if not quiet:
             print(plain(text, _MOST_SHOWN), file=sys.stderr)
 
@@ -215,9 +215,9 @@ def replay(options: ReplayOptions, quiet: bool = False) -> Tally:
         tally = Tally(inputs.describe(processor.detector.source.facts))
         is_chosen = options.depth_by_bag and config.depth.is_measured
         remedy = '; --network uses a network instead' if is_chosen else ''
-        tell(f'Reading {", ".join(topics.names)} of {options.source}')
-        tell(f'Depth: {tally.depth}{remedy}')
-        load_kernels(config, tell)
+        report(f'Reading {", ".join(topics.names)} of {options.source}')
+        report(f'Depth: {tally.depth}{remedy}')
+        load_kernels(config, report)
         with ReplayFiles(options.figures, options.ply, options.table,
                          bool(config.shapes.wanted)) as files:
             with BagWriter(draft.path, options.storage, options.compressed) as writer:
@@ -227,7 +227,7 @@ def replay(options: ReplayOptions, quiet: bool = False) -> Tally:
                                  'replay.options': options.fingerprint})
             prefix = INTERRUPTED if tally.interrupted else ''
             if options.map_file is not None:
-                tell(live_map.save(options.map_file.with_name(prefix + options.map_file.name)))
+                report(live_map.save(options.map_file.with_name(prefix + options.map_file.name)))
             files.publish(prefix)
             tally.target = draft.publish(prefix)
         return tally

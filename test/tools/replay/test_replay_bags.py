@@ -24,8 +24,8 @@ def test_an_unusable_frame_is_reported_and_skipped(tmp_path, scenes, replay):
     code, target, text = replay(write_bag(tmp_path / 'walk', messages))
     assert code == 3
     assert stamps_of(planes_of(target)) == [0.0, 0.2, 0.3]
-    told = "not everything could be used: 1 frames skipped: image encoding 'rainbow' is not known"
-    assert told in text.splitlines()[-1]
+    assert ("not everything could be used: 1 frames skipped: image encoding 'rainbow' is not known"
+            in text.splitlines()[-1])
 
 
 def test_depth_in_the_frame_of_the_image_is_found(tmp_path, scenes, replay):
@@ -52,16 +52,17 @@ def test_one_of_two_cameras_must_be_named(tmp_path, scenes, replay):
     assert f'Reading {", ".join(right)}' in text
 
 
-@pytest.mark.parametrize('options, told', [
+@pytest.mark.parametrize('options, expected', [
     (('--image', '/cam/image'), 'there is no topic /cam/image, as given by --image'),
     (('--image', '/bumper'), f'/bumper is of type {CUSTOM_TYPE}, but --image must be '
                              'sensor_msgs/msg/Image or sensor_msgs/msg/CompressedImage'),
     (('--camera-info', IMAGE), '--camera-info must be sensor_msgs/msg/CameraInfo')])
-def test_wrong_topics_are_reported_with_the_existing_ones(tmp_path, scenes, replay, options, told):
+def test_wrong_topics_are_reported_with_the_existing_ones(
+        tmp_path, scenes, replay, options, expected):
     messages = [*camera_messages(scenes), ('/bumper', time_ns(9), 'bang')]
     code, target, text = replay(write_bag(tmp_path / 'walk', messages), *options)
     assert (code, target.exists()) == (1, False)
-    assert told in text
+    assert expected in text
     for topic in (IMAGE, INFO, DEPTH, '/bumper'):
         assert topic in text.partition(' has ')[2]
     assert f'{CUSTOM_TYPE}, 1 messages' in text

@@ -80,14 +80,14 @@ def compressed(messages):
     return messages
 
 
-@pytest.mark.parametrize('change, told', [
+@pytest.mark.parametrize('change, expected', [
     ('none', 'because the bag has no depth images'),
     ('compressed', 'because the bag has no depth images'),
     ('frame', "because /cam/depth (160 x 120, 32FC1, frame_id 'depth_optical') is not registered "
               "to the image (160 x 120, frame_id 'camera_optical_frame')"),
     ('size', 'because /cam/depth (80 x 60, 32FC1')])
 def test_without_registered_depth_a_network_is_used_with_the_reason(
-        tmp_path, scenes, replay, network, change, told):
+        tmp_path, scenes, replay, network, change, expected):
     messages = coded(scenes, depth=change in ('frame', 'size'))
     if change == 'compressed':
         messages = compressed(messages)
@@ -103,9 +103,9 @@ def test_without_registered_depth_a_network_is_used_with_the_reason(
     code, target, text = replay(write_bag(tmp_path / 'walk', messages), '--params-file', yaml,
                                 *options, depth='')
     assert code == 0, text
-    assert told in text
+    assert expected in text
     assert_true(target, scenes)
-    assert told in facts_of(target)[0]['depth']
+    assert expected in facts_of(target)[0]['depth']
 
 
 def in_form(scenes, form, keep_raw=False, colour=True):
