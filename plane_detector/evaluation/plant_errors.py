@@ -29,7 +29,7 @@ TESTS = {
     'scale': ('test/test_cameras.py', 'test/scale'),
     'directions': ('test/directions', 'test/test_pipeline_directions.py'),
     'depth': ('test/depth',),
-    'shapes': ('test/shapes',),
+    'shapes': ('test/tracking/test_shape_tracker.py', 'test/shapes'),
     'tracking': ('test/tracking',),
     'ground': ('test/ground',),
     'inputs': ('test/ros/inputs', 'test/ros/test_calibration.py'),
@@ -87,6 +87,9 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
          '2] + np.sin(angle) * bases[best, 1', 'swapped axes')),
     'directions/gravity_choice.py': (
         ("' if measured is None", "' if measured is not None", 'wrong source of gravity'),),
+    'directions/finder.py': (
+        ('hold_time * self._hold_times', 'hold_time / self._hold_times',
+         'the time of held lines inverted'),),
     'depth/preprocessing.py': (
         ('float32(mean / std)', 'float32(mean)', 'mean without its deviation'),
         ('1 / values if output in DEPTHS else values',
@@ -113,6 +116,9 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
     'shapes/views.py': (
         ('/ camera.fy', '/ camera.fx', 'fx for fy in the points of pixels'),
         ('+ right / 2 - camera', '- right * 9 - camera', 'silhouette inside the shape')),
+    'shapes/detector.py': (
+        ('tuple(replace(shape, label=label)', 'tuple(shape',
+         'shapes without the labels of their tracks'),),
     'shapes/surface.py': (
         ('root, half - root', 'root, half + root', 'far side of a shape'),),
     'shapes/fitting.py': (
@@ -126,7 +132,12 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
         ('-translation_m @ rotation', '-translation_m', 'covariance moved without the rotation')),
     'tracking/matching.py': (
         ('after.normals.T +', 'after.normals.T -', 'sign of an offset'),
-        ('and track.missed <', 'and track.missed >', 'missing shapes are forgotten')),
+        ('and track.missed <', 'and track.missed >', 'missing shapes are forgotten'),
+        ('one.centroid_variances_m2 / one.', 'one.centroid_variances_m2 * one.',
+         'errors of offsets not as a share of the distance')),
+    'tracking/shape_tracker.py': (
+        ('_MAX_SIZE_CHANGE * max(a, b)', '_MAX_SIZE_CHANGE * min(a, b)',
+         'share of the smaller of two sizes'),),
     'tracking/tracker.py': (
         ('share > _MERGED', 'share < _MERGED', 'merged where little is shared'),
         ('labels=np.array(labels, np.int64)', 'labels=np.arange(1, len(labels) + 1)',
@@ -168,6 +179,8 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
          '[v, u, 1] = e * x + f * y + g * z + d', 'shift of the other axis in ~/points'),
         ('found.obstacles,', 'found.mask,', 'the ground as obstacle')),
     'ros/outputs/messages.py': (
+        ('[detection.shape_labels[is_shape]]', '[detection.shape_labels[is_shape] - 1]',
+         'pixels of another shape'),
         ('(z_axes, x_axes)', '(x_axes, z_axes)', 'poses are mirrored'),)}
 
 

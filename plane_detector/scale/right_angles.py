@@ -53,7 +53,7 @@ class PerpendicularAxes:
 
 
 @dataclass(frozen=True)
-class _Judged:
+class _ScoredShifts:
     """C shifts, each with A axes, and how well N planes fit them: 1 exactly, 0 not at all."""
 
     tau: np.ndarray          # (C,)
@@ -62,9 +62,9 @@ class _Judged:
     across: np.ndarray       # (C, N, A) normals across the axes
     weight: np.ndarray       # (C, N) pixel share, less where the normal is poorly known
 
-    def take(self, index: np.ndarray) -> _Judged:
-        return _Judged(self.tau[index], self.axes[index], self.along[index], self.across[index],
-                       self.weight[index])
+    def take(self, index: np.ndarray) -> _ScoredShifts:
+        return _ScoredShifts(self.tau[index], self.axes[index], self.along[index],
+                             self.across[index], self.weight[index])
 
 
 def find_perpendicular_axes(planes: DisparityPlanes, lowest_disparity: float,
@@ -93,14 +93,14 @@ def find_perpendicular_axes(planes: DisparityPlanes, lowest_disparity: float,
         tau, axes = tau[upright], axes[upright]
     if len(planes) < MIN_DISTINCT_PLANES or not len(tau):
         return _refused('fewer than three planes, or none of them can be perpendicular')
-    tried = _judge(planes, tau, axes)
-    winner, sigma = _refined(planes, tried.take([_votes(tried).argmax()]), -lowest_disparity)
-    objection = _objection(planes, winner, tried, sigma)
+    shifts = _score(planes, tau, axes)
+    best, sigma = _refined(planes, shifts.take([_votes(shifts).argmax()]), -lowest_disparity)
+    objection = _objection(planes, best, shifts, sigma)
     if objection:
         return _refused(objection)
-    upright = winner.axes[0] @ ([0.0, 1.0, 0.0] if down is None else down)
+    upright = best.axes[0] @ ([0.0, 1.0, 0.0] if down is None else down)
     order = np.argsort(-np.abs(upright))
-    return PerpendicularAxes(winner.axes[0][order] * np.sign(upright[order[0]]), '')
+    return PerpendicularAxes(best.axes[0][order] * np.sign(upright[order[0]]), '')
 
 
 def _refused(reason: str) -> PerpendicularAxes:
@@ -142,7 +142,7 @@ def _normals(planes: DisparityPlanes, tau: np.ndarray) -> tuple[np.ndarray, np.n
     return raw, np.degrees(np.arctan2(np.sqrt(across), np.linalg.norm(raw, axis=-1)))
 
 
-def _judge(planes: DisparityPlanes, tau: np.ndarray, axes: np.ndarray) -> _Judged:
+def _score(planes: DisparityPlanes, tau: np.ndarray, axes: np.ndarray) -> _ScoredShifts:
     """Return how well the planes fit shifts (C,) and axes (C, A, 3)."""
     raw, sigma_deg = _normals(planes, tau)
     cosine = np.abs(np.einsum('cni,cki->cnk', unit_vectors(raw), axes))
@@ -150,17 +150,17 @@ def _judge(planes: DisparityPlanes, tau: np.ndarray, axes: np.ndarray) -> _Judge
     tolerance_deg = np.clip(3 * sigma_deg, MIN_TOLERANCE_DEG, MAX_TOLERANCE_DEG)[..., None]
     along, across = (np.where(off <= tolerance_deg, 1.0 - 0.5 * (off / tolerance_deg) ** 2, 0.0)
                      for off in (off_deg, 90.0 - off_deg))
-    return _Judged(tau, axes, along, across,
-                   planes.pixel_share / (1.0 + (sigma_deg / POORLY_KNOWN_DEG) ** 2))
+    return _ScoredShifts(tau, axes, along, across,
+                         planes.pixel_share / (1.0 + (sigma_deg / POORLY_KNOWN_DEG) ** 2))
 
 
-def _votes(judged: _Judged) -> np.ndarray:
+def _votes(scored: _ScoredShifts) -> np.ndarray:
     """Return the weight (C,) of the planes along an axis."""
-    return (judged.along.max(2) * judged.weight).sum(1)
+    return (scored.along.max(2) * scored.weight).sum(1)
 
 
-def _refined(planes: DisparityPlanes, best: _Judged,
-             lowest_tau: float) -> tuple[_Judged, float]:
+def _refined(planes: DisparityPlanes, best: _ScoredShifts,
+             lowest_tau: float) -> tuple[_ScoredShifts, float]:
     """Fit a shift to the planes along its axes, which turn with them; with its sigma."""
     start = best
     for _ in range(ROUNDS):
@@ -181,14 +181,9 @@ def _refined(planes: DisparityPlanes, best: _Judged,
         step = np.linalg.lstsq(design, -misfit.ravel(), rcond=1e-9)[0]
         tau = best.tau + reach * step[:1]
         axes = axes @ cv2.Rodrigues(step[1:])[0].T
-        best = _judge(planes, tau, axes[None])
+        best = _score(planes, tau, axes[None])
     variance = np.linalg.pinv(design.T @ design, rcond=1e-12)[0, 0]
     return (best if tau > lowest_tau else start), float(reach * np.sqrt(variance))
-
-
-def _is_apart(planes: DisparityPlanes, winner: _Judged, tried: _Judged) -> np.ndarray:
-    """Return which shifts (C,), bool, turn the planes too far to be that of the winner."""
-    return _turn_deg(planes, winner.tau, tried.tau) @ planes.pixel_share > MAX_TOLERANCE_DEG
 
 
 def _turn_deg(planes: DisparityPlanes, tau: np.ndarray, other: np.ndarray) -> np.ndarray:
@@ -197,9 +192,10 @@ def _turn_deg(planes: DisparityPlanes, tau: np.ndarray, other: np.ndarray) -> np
     return np.degrees(np.arccos((here * there).sum(-1).clip(-1, 1)))
 
 
-def _objection(planes: DisparityPlanes, winner: _Judged, tried: _Judged, sigma: float) -> str:
+def _objection(planes: DisparityPlanes, best: _ScoredShifts, shifts: _ScoredShifts,
+               sigma: float) -> str:
     """Return why the best shift of three perpendicular axes is not reliable; empty if it is."""
-    along, share = winner.along[0], winner.weight[0] / winner.weight[0].sum()
+    along, share = best.along[0], best.weight[0] / best.weight[0].sum()
     is_aligned = along.max(1) > 0
     aligned = share[is_aligned].sum()
     if aligned < MIN_ALIGNED_SHARE:
@@ -209,21 +205,22 @@ def _objection(planes: DisparityPlanes, winner: _Judged, tried: _Judged, sigma: 
             planes.take(np.flatnonzero(is_aligned))) < MIN_DISTINCT_PLANES:
         return 'two planes are perpendicular for some shift in any room; a third must agree'
     large = planes.pixel_share >= MIN_AXIS_SHARE
-    unsure_deg = _turn_deg(planes, winner.tau, winner.tau + sigma)[0, large].max(initial=0.0)
+    unsure_deg = _turn_deg(planes, best.tau, best.tau + sigma)[0, large].max(initial=0.0)
     if unsure_deg > MAX_UNSURE_DEG:
         return f'the right angles leave the angle of a plane uncertain by {unsure_deg:.0f} degrees'
-    apart = _is_apart(planes, winner, tried)
-    if _votes(tried)[apart].max(initial=0.0) > RIVAL_SHARE * _votes(winner)[0]:
+    # Which shifts turn the planes too far to be the same.
+    apart = _turn_deg(planes, best.tau, shifts.tau) @ planes.pixel_share > MAX_TOLERANCE_DEG
+    if _votes(shifts)[apart].max(initial=0.0) > RIVAL_SHARE * _votes(best)[0]:
         return 'another shift gives as many right angles'
-    if _upright(tried)[apart].max(initial=0.0) > _upright(winner)[0] - UPRIGHT_MARGIN:
+    if _upright(shifts)[apart].max(initial=0.0) > _upright(best)[0] - UPRIGHT_MARGIN:
         return 'another shift makes as many planes vertical, with other angles between them'
     return ''
 
 
-def _upright(judged: _Judged) -> np.ndarray:
+def _upright(scored: _ScoredShifts) -> np.ndarray:
     """Return the weight (C,) of the planes along or across the best single axis."""
-    fit = np.maximum(judged.along, judged.across)
-    return (fit * judged.weight[..., None]).sum(1).max(1)
+    fit = np.maximum(scored.along, scored.across)
+    return (fit * scored.weight[..., None]).sum(1).max(1)
 
 
 def _distinct(planes: DisparityPlanes) -> int:

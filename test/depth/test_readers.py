@@ -146,7 +146,7 @@ def test_factor(reference_px, own, factor):
 
 
 @pytest.mark.parametrize('output', ['metric_depth', 'disparity'])
-def test_the_pipeline_corrects_the_lens_unless_told_not_to(output):
+def test_the_pipeline_corrects_the_lens_unless_switched_off(output):
     scene = single_wall(distance_m=3.0)
     network = wide_network(scene.depth_m, output)
     corrected = PlaneDetector(Config(), network).detect(scene.rgb, VGA)

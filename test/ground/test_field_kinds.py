@@ -85,7 +85,7 @@ def test_a_round_thing_alone_is_an_obstacle_and_drops_are_silent(radius_m, ahead
     (1.0, 25, 1.8, 0.6, 90), (1.0, 25, 1.8, 0.6, 180), (0.5, 15, 1.2, 0.15, 270),
     (1.0, 20, 1.6, 0.3, 50), (1.5, 60, 0.8, 0.3, 135), (1.5, 90, 0.3, 0.5, 0),
     (2.0, 75, 0.5, 0.2, 200)])
-def test_drops_are_told_however_the_camera_is_turned(height_m, pitch_deg, edge_m, lower_m,
+def test_drops_are_found_however_the_camera_is_turned(height_m, pitch_deg, edge_m, lower_m,
                                                      roll_deg):
     view = seen(course(edge_m, lower_m, 3.0), height_m, pitch_deg, roll_deg, noise=0.002)
     found = detect(view)
@@ -122,7 +122,7 @@ def test_drops_within_the_range_stay():
 
 
 @pytest.mark.parametrize('yaw_deg', [-8.0, 1.0, 3.0])
-def test_a_quay_that_is_not_straight_across_the_view_is_told(yaw_deg):
+def test_a_quay_that_is_not_straight_across_the_view_is_found(yaw_deg):
     view = seen(quay(None, 1.7), 1.0, 22, 2, yaw_deg, noise=0.002)
     assert len(detect(view).drops_m) > 150
 
@@ -156,7 +156,7 @@ def test_drops_are_silent_where_nothing_or_nonsense_is_seen(name):
 
 
 @pytest.mark.parametrize('height_m', [0.0, 0.6])
-def test_walls_alone_tell_no_drop_and_why(height_m):
+def test_walls_alone_give_no_drop_and_why(height_m):
     view = seen(course(3.0), 0.6, -25)
     found = detect(view, height_m=height_m)
     assert 'seen' in found.drop_note
@@ -331,7 +331,7 @@ def test_a_step_is_within_half_a_metre_also_where_the_unit_is_not_known():
         assert ground.classes == tuple(found.classes)
 
 
-def test_a_rough_floor_is_told_only_with_an_exact_direction_of_gravity():
+def test_a_rough_floor_is_found_only_with_an_exact_direction_of_gravity():
     view = seen(course(), 0.8, 30)
     relief = np.random.default_rng(3).normal(0, 0.02, (96, 128)).astype(np.float32)
     relief = cv2.resize(relief, (640, 480), interpolation=cv2.INTER_CUBIC)

@@ -263,7 +263,7 @@ def test_a_lower_level_at_the_side_is_not_the_own_floor():
 @pytest.mark.parametrize('axis', ['forward', 'sideways'])
 @pytest.mark.parametrize('off_deg, tolerance_deg', [(1.5, 2.0), (3.0, 4.0), (6.0, 8.0),
                                                     (15.0, 20.0)])
-def test_slopes_are_told_against_the_own_floor(off_deg, tolerance_deg, axis, sign):
+def test_slopes_are_measured_against_the_own_floor(off_deg, tolerance_deg, axis, sign):
     terrain = course(ramp, sign)
     axes = np.radians(off_deg) * np.array([1.0, 0, 0] if axis == 'forward' else [0, 0, 1.0])
     turn, _ = cv2.Rodrigues(axes)
@@ -322,14 +322,14 @@ def test_without_a_unit_there_are_classes_but_no_drops():
     assert len(found.drops_m) == 0 and not found.ground.any()
 
 
-def test_depth_that_is_too_wrong_tells_no_drop_and_why():
+def test_depth_that_is_too_wrong_gives_no_drop_and_why():
     terrain = course(kerb, -1, 0.2)
     found = detect(terrain, noisy(terrain, 0.1, np.random.default_rng(1)))
     assert len(found.drops_m) == 0 and 'm off' in found.drop_note
 
 
 @pytest.mark.parametrize('is_indoor', [False, True])
-def test_an_indoor_network_under_the_sky_tells_no_drop_and_why(is_indoor):
+def test_an_indoor_network_under_the_sky_gives_no_drop_and_why(is_indoor):
     scene = course(kerb, -1, 0.2).scene
     rgb, depth_m, sky = scene.rgb.copy(), scene.depth_m.copy(), 120
     rgb[:sky] = np.linspace((160, 195, 245), (225, 235, 245), sky)[:, None]

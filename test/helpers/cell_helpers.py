@@ -104,7 +104,7 @@ def relative_labels(disparity):
     return segment(disparity, unitless_noise_floor(disparity), Config()).labels
 
 
-def hand_made(model, labels):
+def regions_of_labels(model, labels):
     """Return regions of given labels (R, C) with the planes that fit their flat cells."""
     labels = labels.astype(np.int32)
     moments = add_up(model.grid.moments, labels.ravel(), model.is_planar, labels.max() + 1)
@@ -112,7 +112,7 @@ def hand_made(model, labels):
 
 
 def one_patch(model):
-    return hand_made(model, np.zeros(model.grid.shape, int))
+    return regions_of_labels(model, np.zeros(model.grid.shape, int))
 
 
 def best_iou(scene, labels):

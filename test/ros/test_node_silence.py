@@ -36,7 +36,7 @@ from plane_detector.ros.inputs.transforms import FrameTransforms, TransformBuffe
 from plane_detector.types import GroundPixels, Mounting
 
 
-def test_depth_with_other_stamps_is_told_with_the_difference_and_mended_live(robot, room):
+def test_depth_with_other_stamps_is_reported_with_the_difference_and_mended_live(robot, room):
     node = start(robot, depth__source='topic')
     stamps_s = iter(np.arange(1.0, 100.0, 0.2))
 
@@ -116,7 +116,7 @@ def test_a_short_start_without_pairs_is_not_reported(robot, room, monkeypatch):
     assert 'stamp_slop' not in robot.log()
 
 
-def test_lost_images_are_counted_and_told_with_the_remedy(robot, room):
+def test_lost_images_are_counted_and_reported_with_the_remedy(robot, room):
     start(robot, lambda rgb: room.depth_m)
     for index in range(60):
         robot.publish('camera_info', camera_info_msg(room.intrinsics, index / 15))
@@ -210,7 +210,7 @@ def test_two_clocks_on_a_topic_are_named_and_seldom_logged(robot, room):
     assert robot.log().count('jump') <= 3
 
 
-def test_a_parameter_file_for_another_node_is_told(robot, tmp_path, monkeypatch):
+def test_a_parameter_file_for_another_node_is_reported(robot, tmp_path, monkeypatch):
     other, own = tmp_path / 'other.yaml', tmp_path / 'own.yaml'
     other.write_text('front/planes: {ros__parameters: {max_side: 640}}\n'
                      'robot: {camera: {ros__parameters: {max_side: 640}}}\n')
@@ -246,7 +246,7 @@ def test_what_is_read_at_configure_is_refused_until_cleanup(robot, transition):
     assert node.get_parameter('depth.source').value == 'model'
 
 
-def test_two_nodes_of_one_name_are_told_once(robot):
+def test_two_nodes_of_one_name_are_reported_once(robot):
     start(robot, lambda rgb: None)
     assert 'another node is called' not in robot.log()
     robot.add(Node('plane_detector', context=robot.context))
@@ -491,7 +491,7 @@ def test_a_silent_imu_is_reported(robot, room):
     assert '/imu' in status.message
 
 
-def test_the_probability_of_the_vertical_of_the_image_is_told(robot):
+def test_the_probability_of_the_vertical_of_the_image_is_reported(robot):
     room = textured(random_room, 300)
     start(robot, lambda rgb: room.depth_m)
     send(robot, room)
@@ -499,14 +499,14 @@ def test_the_probability_of_the_vertical_of_the_image_is_told(robot):
     assert 0.9 <= float(robot.diagnosis()[1]['gravity_probability']) <= 1
 
 
-def test_the_probability_of_other_sources_is_not_told(robot, room):
+def test_the_probability_of_other_sources_is_not_reported(robot, room):
     start(robot, lambda rgb: room.depth_m, scale__gravity=room.gravity_camera.tolist())
     send(robot, room)
     assert robot.spin(lambda: robot.diagnosis()[1].get('gravity') == 'parameter')
     assert 'gravity_probability' not in robot.diagnosis()[1]
 
 
-def test_without_a_unit_no_drops_are_told_and_why(robot, room):
+def test_without_a_unit_no_drops_are_found_and_why(robot, room):
     start(robot, DepthFunction(lambda rgb: 1 / room.depth_m, 'relative_disparity'),
           scale__gravity=room.gravity_camera.tolist())
     send(robot, room)

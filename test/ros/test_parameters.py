@@ -84,7 +84,7 @@ def test_unknown_names_are_reported_with_the_most_similar(make_node, monkeypatch
     assert warnings.endswith('count (meant: inner.count?), inner.cuont (meant: inner.count?), zzz')
 
 
-def test_descriptors_tell_unit_range_and_choices(make_node):
+def test_descriptors_have_unit_range_and_choices(make_node):
     node = make_node()
     parameters.declare(node, Outer())
     count = node.describe_parameter('inner.count')

@@ -43,7 +43,7 @@ def random_walk(shape, rng):
     return (field - field.mean()) / field.std()
 
 
-def test_systematic_errors_are_told_from_smooth_ones():
+def test_systematic_errors_are_distinguished_from_smooth_ones():
     for seed in range(3):
         assert noise_of(noisy_depth(WALL, 0.002, seed)).bending < 1.3
     walk = random_walk(WALL.depth_m.shape, np.random.default_rng(3))
@@ -118,7 +118,7 @@ def corner(lateral_px, seed=0):
 
 
 @pytest.mark.parametrize('lateral_px', [0.4, 0.7])
-def test_pixels_that_see_aside_are_told_by_steep_surfaces(lateral_px):
+def test_pixels_that_see_aside_are_found_by_steep_surfaces(lateral_px):
     found = [noise_of(1 / corner(lateral_px, seed)[0]).lateral_px for seed in range(3)]
     assert np.mean(found) == pytest.approx(lateral_px, rel=0.25)
     assert noise_of(1 / corner(0.0)[0]).lateral_px < 0.05

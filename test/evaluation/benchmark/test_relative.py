@@ -18,7 +18,7 @@ def test_the_errors_have_the_stated_size():
     assert np.nanstd(found / exact) == pytest.approx(0.03, rel=0.2)
 
 
-def test_errors_by_the_shift_are_told_from_those_of_the_network():
+def test_errors_by_the_shift_are_distinguished_from_those_of_the_network():
     view = network_view(random_room(np.random.default_rng(3)), 0.015, np.random.default_rng(3))
     true = view.estimate(view.true_scale)
     found = angles(view, true)

@@ -128,7 +128,7 @@ def decoded(data, expected=SIZE, most_pixels=MOST_PIXELS):
     encoded('.png', (640, 480)), encoded('.jpg', (640, 480)),
     encoded('.jpg', (640, 480), [cv2.IMWRITE_JPEG_PROGRESSIVE, 1]),
     encoded('.jpg', (640, 480), [cv2.IMWRITE_JPEG_RST_INTERVAL, 1])])
-def test_the_header_tells_the_size(data):
+def test_the_header_gives_the_size(data):
     assert compressed_size(data) == (640, 480)
 
 

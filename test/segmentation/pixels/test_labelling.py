@@ -9,9 +9,9 @@ from cell_helpers import (
     disparity_image,
     fold,
     frame_of,
-    hand_made,
     noisy,
     one_patch,
+    regions_of_labels,
     view,
     wall,
 )
@@ -34,7 +34,7 @@ def test_pixels_move_a_border_that_is_cells_away(scene, shift):
     model, size = cell_model(scene.depth_m), 4
     assert model.grid.size_px == size
     cells = scene.labels[size // 2::size, size // 2::size]
-    true = hand_made(model, cells)
+    true = regions_of_labels(model, cells)
     moved = PlaneRegions(np.roll(cells, shift, axis=1).astype(np.int32), true.coefficients)
     moved.labels[:, :3], moved.labels[:, -3:] = cells[:, :3], cells[:, -3:]
     labels = label_pixels(frame_of(disparity_image(scene.depth_m), model),
@@ -47,7 +47,7 @@ def test_a_plane_grows_to_where_the_surface_leaves_it(scene):
     """Cells without a label between the plane and its border do not make it a staircase."""
     model, size = cell_model(scene.depth_m), 4
     cells = scene.labels[size // 2::size, size // 2::size]
-    true, is_first = hand_made(model, cells), cells == 0
+    true, is_first = regions_of_labels(model, cells), cells == 0
     is_short = is_first & np.roll(is_first, 3, axis=1) & np.roll(is_first, -3, axis=1)
     short = PlaneRegions(np.where(is_short, 0, -1).astype(np.int32), true.coefficients)
     frame = frame_of(disparity_image(scene.depth_m), model)

@@ -7,7 +7,7 @@ from itertools import islice
 
 import numpy as np
 import pytest
-from cell_helpers import EXACT, cell_model, fold, hand_made, noisy, view, wall
+from cell_helpers import EXACT, cell_model, fold, noisy, regions_of_labels, view, wall
 
 from plane_detector import CameraIntrinsics, Config, segment_planes
 from plane_detector.config import RansacConfig
@@ -53,7 +53,7 @@ def noisy_model(scene, sigma):
 
 def merged_regions(model, labels, sigma=0.0):
     """Return what hand-made regions are merged to."""
-    regions = hand_made(model, labels)
+    regions = regions_of_labels(model, labels)
     correlation = Correlation.of(model, regions, noise_of(sigma)) if sigma else None
     merged = merge_coplanar(model, RegionGraph.of(model, regions), correlation)
     return PlaneRegions(merged.labels, merged.planes)
@@ -69,7 +69,7 @@ def test_stripes_of_one_wall_become_one(sigma, count):
     model = noisy_model(view([wall(2.5)], angles_deg=(30, 0, 0)), sigma)
     result = merged_regions(model, stripes(model.grid.shape, count), sigma)
     assert (result.labels == 0).all()
-    whole = hand_made(model, np.zeros(model.grid.shape, int)).coefficients
+    whole = regions_of_labels(model, np.zeros(model.grid.shape, int)).coefficients
     np.testing.assert_allclose(result.coefficients, whole, rtol=1e-9, atol=1e-12)
 
 
@@ -101,7 +101,7 @@ def test_pieces_are_one_plane_unless_something_farther_is_seen_between(distance_
 
 def test_merged_regions_have_the_sums_of_all_their_cells():
     model = noisy_model(view([wall(2.5)]), 0.004)
-    regions = hand_made(model, labels := stripes(model.grid.shape, 8))
+    regions = regions_of_labels(model, labels := stripes(model.grid.shape, 8))
     graph = RegionGraph.of(model, regions)
     given = [part.copy() for part in vars(graph).values()]
     pairs = iter([(0, 1), (4, 7), (0, 2)])
@@ -116,7 +116,8 @@ def test_merged_regions_have_the_sums_of_all_their_cells():
     for part, before in zip(vars(graph).values(), given, strict=True):
         np.testing.assert_array_equal(part, before)
     np.testing.assert_array_equal(result.owner, [0, 0, 0, 3, 4, 5, 6, 4])
-    expected = RegionGraph.of(model, hand_made(model, np.array([0, 0, 0, 3, 4, 5, 6, 4])[labels]))
+    joined = np.array([0, 0, 0, 3, 4, 5, 6, 4])[labels]
+    expected = RegionGraph.of(model, regions_of_labels(model, joined))
     left = [0, 3, 4, 5, 6]
     for name in ('pixels', 'sums'):
         np.testing.assert_allclose(getattr(result, name)[left], getattr(expected, name)[left],
@@ -126,7 +127,7 @@ def test_merged_regions_have_the_sums_of_all_their_cells():
     assert (result.sums[[1, 2, 7]] == 0).all()
     merged = result.without_merged()
     np.testing.assert_array_equal(merged.labels, np.array([0, 0, 0, 1, 2, 3, 4, 2])[labels])
-    refitted = hand_made(model, merged.labels).coefficients
+    refitted = regions_of_labels(model, merged.labels).coefficients
     np.testing.assert_allclose(merged.planes[[0, 2]], refitted[[0, 2]], rtol=1e-9)
     np.testing.assert_array_equal(merged.planes[[1, 3, 4]],
                                   regions.coefficients[[3, 5, 6]])
@@ -134,7 +135,7 @@ def test_merged_regions_have_the_sums_of_all_their_cells():
 
 def test_misfits_that_are_no_numbers_end_the_merging():
     model = noisy_model(view([wall(2.5)]), 0.004)
-    graph = RegionGraph.of(model, hand_made(model, stripes(model.grid.shape, 3)))
+    graph = RegionGraph.of(model, regions_of_labels(model, stripes(model.grid.shape, 3)))
     calls = []
 
     def misfit(found):
@@ -148,7 +149,7 @@ def test_misfits_that_are_no_numbers_end_the_merging():
 def test_joint_misfit_by_hand():
     """The worse side's mean square about the joint plane, in variances, over the most."""
     model = noisy_model(two_walls(0.05), 0.004)
-    regions = hand_made(model, stripes(model.grid.shape, 2))
+    regions = regions_of_labels(model, stripes(model.grid.shape, 2))
     x, y, d = model.grid.mean[model.is_planar].T
     design = np.stack([x, y, np.ones_like(x)], axis=1)
     error = d - design @ np.linalg.lstsq(design, d, rcond=None)[0]
@@ -173,7 +174,7 @@ def test_adjacency_equals_a_loop_over_pairs_of_cells():
                     if 0 <= labels[ends[0]] < labels[ends[1]]:
                         key = labels[ends[0]], labels[ends[1]]
                         pairs.setdefault(key, []).append([mean[end] for end in ends])
-    found = RegionGraph.of(model, hand_made(model, labels)).borders
+    found = RegionGraph.of(model, regions_of_labels(model, labels)).borders
     assert sorted(pairs) == list(zip(*np.nonzero(np.triu(found[:, :, 0])), strict=True))
     for (i, j), ends in pairs.items():
         assert found[i, j, 0] == found[j, i, 0] == len(ends)

@@ -11,10 +11,10 @@ from cell_helpers import (
     disparity_image,
     fold,
     frame_of,
-    hand_made,
     noisy,
     one_patch,
     rectangle,
+    regions_of_labels,
     view,
     wall,
 )
@@ -35,7 +35,7 @@ LEFT[:, 40:], MIDDLE[20:40, 30:50] = 1, 1
 def two(depth_m, labels):
     """Say whether the two regions of these labels are kept apart."""
     model, noise = cells_and_noise(depth_m)
-    regions = hand_made(model, labels)
+    regions = regions_of_labels(model, labels)
     correlation = Correlation.of(model, regions, noise)
     return prefer_two_planes(model, regions.labels, correlation, 0, 1)
 
@@ -67,7 +67,7 @@ def test_the_gain_is_that_of_the_likelihood():
     model, noise = cells_and_noise(noisy(view([wall(WALL_M), wall(WALL_M - 0.08, 0, 0.7)]), 3))
     labels = np.zeros((60, 80), int)
     labels[:, 40:52] = 1
-    regions = hand_made(model, labels)
+    regions = regions_of_labels(model, labels)
     correlation = Correlation.of(model, regions, noise)
     cell, small = seams._cells_about(regions.labels, model.is_planar, (0, 1))
     assert len(cell) > seams.NEAREST_CELLS

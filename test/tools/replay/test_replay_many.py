@@ -105,7 +105,7 @@ def test_one_run_a_second_one_and_one_that_fails(bags, scenes, tmp_path, capsys,
     assert (out / 'first' / 'metadata.yaml').stat().st_mtime_ns == before
 
 
-def test_the_jobs_run_where_joblib_is_told(bags, tmp_path, monkeypatch):
+def test_the_jobs_run_where_joblib_is_set(bags, tmp_path, monkeypatch):
     """As on a cluster; here in this process, where the stand-in for the work is seen."""
     done = []
 

@@ -48,7 +48,7 @@ def bag_with_tf(tmp_path, scenes):
     return write_bag_with_tf(tmp_path, scenes[:1])
 
 
-def test_base_frame_tells_the_floor(bag_with_tf, replay):
+def test_base_frame_gives_the_floor(bag_with_tf, replay):
     code, target, text = replay(bag_with_tf, '-p', 'base_frame:=base_link')
     assert code == 0, text
     table = cloud_array(planes_of(target)[0])[0]
