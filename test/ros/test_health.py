@@ -1,36 +1,106 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""What is missing for classes and obstacles is logged once, and so is that it no longer is."""
+"""What a frame lacks for classes, obstacles and drops: its log, once, its status and its facts."""
 
-from dataclasses import replace
+import math
+from types import SimpleNamespace
 
-import output_scene as scene
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
 
-from plane_detector.ros.diagnostics import Health
-from plane_detector.types import GroundPixels, PlaneClass, Planes
-
-
-class Logger(list):
-    """Keeps what is logged, by level."""
-
-    def info(self, text):
-        self.append(('info', text))
-
-    def warning(self, text):
-        self.append(('warning', text))
-
-
-def without_gravity():
-    return scene.detection(planes=Planes.of([
-        replace(scene.plane(index), plane_class=PlaneClass.UNKNOWN)
-        for index in (scene.WALL, scene.FLOOR)]), ground_pixels=GroundPixels())
+from plane_detector.ros.diagnostics import (
+    DROPS,
+    POINTS_WITHOUT_FLOOR,
+    Health,
+    Report,
+    missing_for_classes,
+)
+from plane_detector.types import GroundPixels, Mounting
 
 
-def test_a_gap_is_logged_once_and_withdrawn_once():
-    logger = Logger()
-    health = Health(logger)
-    for found in 2 * [without_gravity(), without_gravity(), scene.detection()]:
-        health.note(found, ['planes'])
-    (level, text), withdrawn = logger
-    assert level == 'warning' and text.startswith('planes have no class: ')
-    assert withdrawn == ('info', 'no longer: planes have no class')
+def detection(classes, scale='metric', planes=2, gravity_note='', shape=(480, 640), note='',
+              is_known=None, mounting=None, probability=math.nan):
+    is_known = any(classes) and scale != 'relative' if is_known is None else is_known
+    return SimpleNamespace(labels=np.zeros(shape), planes=(None,) * planes, classes=classes,
+                           scale_method=scale, scale_note='why', scale_event='',
+                           gravity_source='none', gravity_note=gravity_note,
+                           gravity_probability=probability,
+                           camera_height_m=1.25, tilt_deg=math.nan, drops_m=(),
+                           ground_pixels=GroundPixels(is_known), drop_note=note,
+                           mounting=mounting,
+                           disparity_noise=0.002, systematic_noise=0.001)
+
+
+@pytest.mark.parametrize('found, wanted, expected', [
+    (detection((1, 3)), (POINTS_WITHOUT_FLOOR,), ''),
+    (detection((), planes=0), ('planes',), ''),
+    (detection((), planes=0), (POINTS_WITHOUT_FLOOR,), 'gravity is not known'),
+    (detection((), planes=0, is_known=True), (POINTS_WITHOUT_FLOOR,), ''),
+    (detection((1, 3), note='no floor is seen'), (POINTS_WITHOUT_FLOOR,), ''),
+    (detection((1, 3), note='no floor is seen'), (DROPS,), 'drops is silent: no floor is seen'),
+    (detection((0, 0)), ('planes',), 'the direction of gravity is not known'),
+    (detection((0, 0)), (POINTS_WITHOUT_FLOOR,), 'points_without_floor is silent'),
+    (detection((0, 0), gravity_note='only 3 straight lines'), (), 'not known (only 3 straight'),
+    (detection((0, 0), 'relative'), ('planes',), 'neither metres nor gravity'),
+    (detection((1, 0), 'relative'), ('planes',), ''),
+    (detection((1, 0), 'relative'), (POINTS_WITHOUT_FLOOR,), 'unit of depth is not known (why)')])
+def test_gaps(found, wanted, expected):
+    gap = missing_for_classes(found, wanted)
+    assert expected in gap
+    assert bool(expected) == bool(gap)
+
+
+def test_a_camera_that_is_not_mounted_as_stated_is_reported_if_it_lasts():
+    lines = []
+    health = Health(SimpleNamespace(warning=lines.append, info=lines.append))
+    right, wrong = Mounting(0.6, 0.61, 0.02, *[math.nan] * 4), Mounting(
+        0.6, 0.7, 0.02, 20.0, 23.5, 4.0, 2.5)
+    for stamp_s, mounting in ((0, wrong), (4, wrong), (5, right), (6, wrong), (10.5, wrong)):
+        health.note(detection((1, 3), mounting=mounting), (), stamp_s)
+        assert health.status(Report(3, 0, 0, 1.0), '')[0] == DiagnosticStatus.OK and not lines
+    for stamp_s in (11.0, 12.0):
+        health.note(detection((1, 3), mounting=wrong), (), stamp_s)
+        level, message = health.status(Report(3, 0, 0, 1.0), '')
+        assert level == DiagnosticStatus.WARN
+        assert all(number in message for number in ('0.70 m', '0.60 m', '23.5', '20.0'))
+    assert len(lines) == 1
+    assert health.facts['mounting'] == ('height 0.600 m stated, 0.700 seen, '
+                                        'tilt 20.0 degrees stated, 23.5 seen')
+    health.note(detection((1, 3), mounting=right), (), 13.0)
+    assert health.status(Report(3, 0, 0, 1.0), '')[0] == DiagnosticStatus.OK
+
+
+def test_silent_drops_are_logged_once_though_their_numbers_vary():
+    lines = []
+    health = Health(SimpleNamespace(warning=lines.append, info=lines.append))
+    for height_m in (6.0, 6.01, 5.99):
+        health.note(detection((4, 3), note=f'a level surface {height_m:.2f} m below'), (DROPS,))
+        assert health.status(Report(3, 0, 0, 1.0), '')[0] == DiagnosticStatus.WARN
+    assert lines == ['~/drops is silent: a level surface 6.00 m below']
+
+
+def test_each_gap_is_logged_once_and_cleared_when_it_ends():
+    lines = []
+    health = Health(SimpleNamespace(warning=lines.append, info=lines.append))
+    for _ in range(3):
+        health.note(detection((0, 0)), ())
+        level, message = health.status(Report(3, 0, 0, 1.0), '')
+        assert level == DiagnosticStatus.WARN
+        assert 'gravity' in message
+    assert len(lines) == 1
+    health.note(detection((1, 3)), ())
+    assert health.status(Report(4, 0, 0, 1.0), '') == (DiagnosticStatus.OK, 'active')
+    assert lines[1:] == ['no longer: planes have no class']
+    for found in (detection((0, 0)), detection((1, 3))):
+        health.note(found, ())
+    assert len(lines) == 2
+
+
+def test_the_facts_are_those_of_the_last_frame():
+    health = Health(SimpleNamespace(warning=lambda _: None, info=lambda _: None))
+    health.note(detection((1, 3), probability=0.934), ())
+    assert health.facts['gravity_probability'] == '0.93' and health.facts['drops'] == '0 points'
+    health.note(detection((1, 3), 'relative', note='the unit is not known'), ())
+    assert 'gravity_probability' not in health.facts and 'noise' not in health.facts
+    assert health.facts['drops'] == 'not looked for: the unit is not known'

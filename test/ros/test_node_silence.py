@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the node knows about missing inputs and results, in its log, once, and its diagnostics."""
 
-import math
 import sys
 import time
 from types import SimpleNamespace
@@ -19,21 +18,10 @@ from ros_helpers import FRAME_ID, camera_info_msg, header, image_msg, transform_
 from sensor_msgs.msg import CameraInfo, Imu
 from std_srvs.srv import Trigger
 
-from plane_detector.depth.observation import DepthFunction
-from plane_detector.evaluation.scenes.rooms import random_room
-from plane_detector.evaluation.scenes.textures import textured
 from plane_detector.geometry.rigid_transform import RigidTransform
-from plane_detector.ros.diagnostics import (
-    DROPS,
-    POINTS_WITHOUT_FLOOR,
-    Health,
-    Report,
-    missing_for_classes,
-)
 from plane_detector.ros.frame_worker import ANSWERED_WITHIN_S, MOST_CALLS, FrameRequests
 from plane_detector.ros.inputs.topic_watch import ArrivalCount, explain_silence
 from plane_detector.ros.inputs.transforms import FrameTransforms, TransformBuffer
-from plane_detector.types import GroundPixels, Mounting
 
 
 def test_depth_with_other_stamps_is_reported_with_the_difference_and_mended_live(robot, room):
@@ -406,80 +394,6 @@ def test_of_many_calls_most_are_answered_at_once():
     assert not requests.add().done()
 
 
-def detection(classes, scale='metric', planes=2, gravity_note='', shape=(480, 640), note='',
-              is_known=None, mounting=None):
-    is_known = any(classes) and scale != 'relative' if is_known is None else is_known
-    return SimpleNamespace(labels=np.zeros(shape), planes=(None,) * planes, classes=classes,
-                           scale_method=scale, scale_note='why', scale_event='',
-                           gravity_source='none', gravity_note=gravity_note,
-                           gravity_probability=float('nan'),
-                           camera_height_m=1.25, tilt_deg=float('nan'), drops_m=(),
-                           ground_pixels=GroundPixels(is_known), drop_note=note,
-                           mounting=mounting,
-                           disparity_noise=0.002, systematic_noise=0.001)
-
-
-@pytest.mark.parametrize('found, wanted, expected', [
-    (detection((1, 3)), (POINTS_WITHOUT_FLOOR,), ''),
-    (detection((), planes=0), ('planes',), ''),
-    (detection((), planes=0), (POINTS_WITHOUT_FLOOR,), 'gravity is not known'),
-    (detection((), planes=0, is_known=True), (POINTS_WITHOUT_FLOOR,), ''),
-    (detection((1, 3), note='no floor is seen'), (POINTS_WITHOUT_FLOOR,), ''),
-    (detection((1, 3), note='no floor is seen'), (DROPS,), 'drops is silent: no floor is seen'),
-    (detection((0, 0)), ('planes',), 'the direction of gravity is not known'),
-    (detection((0, 0)), (POINTS_WITHOUT_FLOOR,), 'points_without_floor is silent'),
-    (detection((0, 0), gravity_note='only 3 straight lines'), (), 'not known (only 3 straight'),
-    (detection((0, 0), 'relative'), ('planes',), 'neither metres nor gravity'),
-    (detection((1, 0), 'relative'), ('planes',), ''),
-    (detection((1, 0), 'relative'), (POINTS_WITHOUT_FLOOR,), 'unit of depth is not known (why)')])
-def test_gaps(found, wanted, expected):
-    gap = missing_for_classes(found, wanted)
-    assert expected in gap
-    assert bool(expected) == bool(gap)
-
-
-def test_a_camera_that_is_not_mounted_as_stated_is_reported_if_it_lasts():
-    lines = []
-    health = Health(SimpleNamespace(warning=lines.append, info=lines.append))
-    right, wrong = Mounting(0.6, 0.61, 0.02, *[math.nan] * 4), Mounting(
-        0.6, 0.7, 0.02, 20.0, 23.5, 4.0, 2.5)
-    for stamp_s, mounting in ((0, wrong), (4, wrong), (5, right), (6, wrong), (10.5, wrong)):
-        health.note(detection((1, 3), mounting=mounting), (), stamp_s)
-        assert health.status(Report(3, 0, 0, 1.0), '')[0] == DiagnosticStatus.OK and not lines
-    for stamp_s in (11.0, 12.0):
-        health.note(detection((1, 3), mounting=wrong), (), stamp_s)
-        level, message = health.status(Report(3, 0, 0, 1.0), '')
-        assert level == DiagnosticStatus.WARN
-        assert all(number in message for number in ('0.70 m', '0.60 m', '23.5', '20.0'))
-    assert len(lines) == 1
-    assert health.facts['mounting'] == ('height 0.600 m stated, 0.700 seen, '
-                                        'tilt 20.0 degrees stated, 23.5 seen')
-    health.note(detection((1, 3), mounting=right), (), 13.0)
-    assert health.status(Report(3, 0, 0, 1.0), '')[0] == DiagnosticStatus.OK
-
-
-def test_silent_drops_are_logged_once_though_their_numbers_vary():
-    lines = []
-    health = Health(SimpleNamespace(warning=lines.append, info=lines.append))
-    for height_m in (6.0, 6.01, 5.99):
-        health.note(detection((4, 3), note=f'a level surface {height_m:.2f} m below'), (DROPS,))
-        assert health.status(Report(3, 0, 0, 1.0), '')[0] == DiagnosticStatus.WARN
-    assert lines == ['~/drops is silent: a level surface 6.00 m below']
-
-
-def test_each_gap_is_logged_once_and_cleared_when_it_ends():
-    lines = []
-    health = Health(SimpleNamespace(warning=lines.append, info=lines.append))
-    for _ in range(3):
-        health.note(detection((0, 0)), ())
-        level, message = health.status(Report(3, 0, 0, 1.0), '')
-        assert level == DiagnosticStatus.WARN
-        assert 'gravity' in message
-    assert len(lines) == 1
-    health.note(detection((1, 3)), ())
-    assert health.status(Report(4, 0, 0, 1.0), '') == (DiagnosticStatus.OK, 'active')
-
-
 def test_a_silent_imu_is_reported(robot, room):
     start(robot, lambda rgb: room.depth_m, use_imu=True)
     for stamp_s in np.arange(1.0, 6.0, 0.25):
@@ -489,27 +403,3 @@ def test_a_silent_imu_is_reported(robot, room):
     status, _ = robot.diagnosis()
     assert status.level == DiagnosticStatus.WARN
     assert '/imu' in status.message
-
-
-def test_the_probability_of_the_vertical_of_the_image_is_reported(robot):
-    room = textured(random_room, 300)
-    start(robot, lambda rgb: room.depth_m)
-    send(robot, room)
-    assert robot.spin(lambda: robot.diagnosis()[1].get('gravity') == 'image')
-    assert 0.9 <= float(robot.diagnosis()[1]['gravity_probability']) <= 1
-
-
-def test_the_probability_of_other_sources_is_not_reported(robot, room):
-    start(robot, lambda rgb: room.depth_m, scale__gravity=room.gravity_camera.tolist())
-    send(robot, room)
-    assert robot.spin(lambda: robot.diagnosis()[1].get('gravity') == 'parameter')
-    assert 'gravity_probability' not in robot.diagnosis()[1]
-
-
-def test_without_a_unit_no_drops_are_found_and_why(robot, room):
-    start(robot, DepthFunction(lambda rgb: 1 / room.depth_m, 'relative_disparity'),
-          scale__gravity=room.gravity_camera.tolist())
-    send(robot, room)
-    assert robot.wait_for('planes')
-    assert robot.spin(lambda: robot.diagnosis()[1].get('drops', '').startswith('not looked for: '))
-    assert not robot.received['drops'] and not robot.received['ground']
