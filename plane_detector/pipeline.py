@@ -47,7 +47,13 @@ from plane_detector.segmentation.segment import metric_noise_floor, segment, uni
 from plane_detector.shapes.detector import ShapeDetector
 from plane_detector.stage_timer import StageTimer
 from plane_detector.tracking.tracker import PlaneTracker
-from plane_detector.types import JUMP_S, CameraIntrinsics, Detection, PlaneSegmentation
+from plane_detector.types import (
+    JUMP_S,
+    NO_SHAPE_LABELS,
+    CameraIntrinsics,
+    Detection,
+    PlaneSegmentation,
+)
 
 DEFAULTS = Config()
 # Folders of the loops that every image needs.
@@ -206,9 +212,14 @@ class PlaneDetector:
         state = self._planes.at(seen.epoch)
         with timer('segmentation'):
             # 1. The pixels of each plane, in the unit of the prediction.
-            load_once(*LOOPS, *(() if seen.is_measured else ('network',)))
+            cues = {}
+            if seen.is_measured:
+                load_once(*LOOPS)
+            else:
+                load_once(*LOOPS, 'network')
+                cues = _network_cues(seen, config)
             regions = _find_regions(seen.disparity, seen.intrinsics, config,
-                                    _noise_floor(seen, config), **_network_cues(seen, config))
+                                    _noise_floor(seen, config), **cues)
         with timer('scale'):
             # 2. The scale and shift to metres, smoothed over time.
             state.scale = _next_scale(state.scale, seen, regions, config, around)
@@ -224,8 +235,10 @@ class PlaneDetector:
                 np.radians(np.nan_to_num(scale.angle_sigma_deg)))
         with timer('shapes'):
             # 4. Spheres, cylinders and cones where there is no plane, if requested.
-            planes, shapes, shape_labels = state.shapes.detect(
-                depth_m, planes, regions, seen.intrinsics, config, scale.is_metric)
+            shapes, shape_labels = (), NO_SHAPE_LABELS
+            if config.shapes.wanted and scale.is_metric:
+                planes, shapes, shape_labels = state.shapes.detect(
+                    depth_m, planes, regions, seen.intrinsics, config)
         with timer('ground'):
             # 5. Own floor, ramps, obstacles and drops, if angles are true and gravity is known.
             gravity = around.gravity if scale.has_true_angles else NO_GRAVITY

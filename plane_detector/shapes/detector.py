@@ -35,7 +35,6 @@ from plane_detector.shapes.surfels import smooth_components, surfels_of_grid
 from plane_detector.shapes.views import DepthView, FoundShape
 from plane_detector.tracking.shape_tracker import ShapeTrack, update_shape_tracks
 from plane_detector.types import (
-    NO_SHAPE_LABELS,
     CameraIntrinsics,
     PlaneSegmentation,
     ShapeType,
@@ -76,15 +75,12 @@ class ShapeDetector:
         self._tracks = ()
 
     def detect(self, depth_m: np.ndarray, planes: PlaneSegmentation, regions: PixelRegions,
-               intrinsics: CameraIntrinsics, config: Config, in_metres: bool) -> PlanesAndShapes:
+               intrinsics: CameraIntrinsics, config: Config) -> PlanesAndShapes:
         """
         Return planes and shapes as :func:`find_shapes`; tracked shapes keep their labels.
 
-        Planes are unchanged, and there are no shapes, if none are requested or the depth is not
-        ``in_metres``.
+        The depth is in metres, and shapes are requested.
         """
-        if not (config.shapes.wanted and in_metres):
-            return planes, (), NO_SHAPE_LABELS
         load_once('shapes')
         planes, shapes, shape_labels = find_shapes(
             depth_m, planes, regions, intrinsics, config.shapes,

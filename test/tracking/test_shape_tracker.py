@@ -63,5 +63,5 @@ def test_the_detector_gives_each_shape_the_label_of_its_track(monkeypatch):
     monkeypatch.setattr(detector, 'find_shapes', lambda *_: (None, *next(found)))
     finder, config = detector.ShapeDetector(), Config(shapes=ShapesConfig(types='all'))
     for expected in ([(0.0, 1), (1.0, 2)], [(1.02, 2), (0.02, 1)]):
-        _, shapes, _ = finder.detect(None, None, None, None, config, in_metres=True)
+        _, shapes, _ = finder.detect(None, None, None, None, config)
         assert [(shape.position_m[0], shape.label) for shape in shapes] == expected
