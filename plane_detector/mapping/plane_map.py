@@ -52,6 +52,8 @@ FORGETTING = 0.95
 SMOOTHING = 0.95
 # chosen: images of which the median is the systematic error of the sensor.
 _RECENT = 20
+# chosen: a view counts at least so much, however large the systematic error of the sensor is.
+_LEAST_NEWS = 0.1
 # A view counts fully if the camera has moved this far since the last image.
 _MOVED_M, _TURNED_RAD = 0.05, np.radians(3.0)
 # A plane becomes one of the map if its normal is known within this.
@@ -286,7 +288,7 @@ class PlaneMap:
             attempt.correction, frames.picked(place), attempt.found, shown,
             (attempt.taken == attempt.evidence)[shown])
         known = FORGETTING**weight * np.linalg.inv(frames.covariances)
-        added = weight * np.linalg.inv(covariances)
+        added = weight * image.news[shown, None, None] * np.linalg.inv(covariances)
         vectors = (known @ frames.coefficients[:, :, None])[:, :, 0]
         np.add.at(known, place, added)
         np.add.at(vectors, place, (added @ heights[:, :, None])[:, :, 0])
@@ -380,6 +382,7 @@ class _Image:
     points_m: np.ndarray  # (N, 3) on the found planes, one after another
     ends: np.ndarray  # (K + 1,) int, where those of each begin and end
     noise: float  # standard deviation of the disparity, 1/m
+    news: np.ndarray  # (K,) how much a view of each counts for the sum over views
 
     @classmethod
     def of(cls, placed: PlacedDetection, systematic: float) -> _Image:
@@ -387,9 +390,14 @@ class _Image:
         detection, intrinsics = placed.detection, placed.intrinsics
         found = found_planes(detection, intrinsics, systematic)
         apart, same_side = apart_in_image(found)
+        news = np.ones(len(found))
+        if systematic > _LEAST_SYSTEMATIC:
+            # A systematic error is the same in the next views: it does not average out.
+            share = detection.planes.covariances[:, 3, 3] / found.covariances[:, 3, 3]
+            news = np.maximum(share, _LEAST_NEWS)
         return cls(placed, found, apart, apart & same_side,
                    *sampled(detection.labels, found, intrinsics, _ROWS),
-                   float(np.hypot(detection.disparity_noise, systematic)))
+                   float(np.hypot(detection.disparity_noise, systematic)), news)
 
     @property
     def stamp_s(self) -> float:

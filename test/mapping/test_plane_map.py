@@ -13,6 +13,7 @@ from plane_detector.config import DepthConfig
 from plane_detector.evaluation.benchmark.map import record, score
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.evaluation.scenes.walks import walk, with_errors
+from plane_detector.geometry.rigid_transform import RigidTransform
 from plane_detector.mapping.association import Pairs, assign
 from plane_detector.mapping.heights import with_pose_error
 from plane_detector.mapping.map_plane import as_planes
@@ -110,6 +111,19 @@ def test_one_image_says_little_of_the_systematic_error_of_the_sensor():
         maps.append(planes.planes)
     for one, other in zip(*maps, strict=True):
         assert (one.covariance == other.covariance).all()
+
+
+def test_a_systematic_error_does_not_average_out():
+    deviations = []
+    for images in (1, 20):
+        planes = PlaneMap()
+        for k in range(images):
+            # The camera moves enough for each view to count, and sees the same.
+            pose = RigidTransform(np.eye(3), np.array([0.1 * k, 0.0, 0.0]))
+            found = replace(recording().detections[0], systematic_noise=0.005)
+            planes.update(PlacedDetection(found, CAMERA, pose, float(k)))
+        deviations.append(np.sqrt(planes.planes[0].covariance[2, 2]))
+    assert deviations[1] > 0.5 * deviations[0]
 
 
 def test_a_wall_is_not_the_picture_that_it_covers():
