@@ -275,8 +275,8 @@ def mark_drops(depth_m, labels, ground, lines, ways, ray_x, ray_y, planes, down,
     pending, pending_k = np.full(ways, -1, np.int32), np.zeros(ways, np.int32)
     pending_end, way_end = np.zeros(ways, np.int32), np.zeros(ways, np.int32)
     # A border at the side that never has depth ends a way, as the border of the image does.
-    nearest = np.array([width, height])
-    farthest = np.zeros(2, np.int64)
+    nearest, farthest = np.empty(2, np.int64), np.zeros(2, np.int64)
+    nearest[0], nearest[1] = width, height
     for v in range(0, height, 4):
         for u in range(0, width, 4):
             if depth_m[v, u] >= MIN_DEPTH_M and depth_m[v, u] < np.inf:

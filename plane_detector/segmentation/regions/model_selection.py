@@ -134,7 +134,9 @@ def _cells_about(labels, is_planar, pair):
 def _box_of_smaller(labels, pair):
     """Return the rows and columns of cells within reach of the smaller one of two regions."""
     (rows, columns), sizes = labels.shape, np.zeros(2, np.int64)
-    boxes = np.array([[rows, 0, columns, 0], [rows, 0, columns, 0]])
+    boxes = np.zeros((2, 4), np.int64)
+    for k in range(2):
+        boxes[k, 0], boxes[k, 2] = rows, columns
     for row in range(rows):
         for column in range(columns):
             for k in range(2):
@@ -144,8 +146,8 @@ def _box_of_smaller(labels, pair):
                     boxes[k, 1] = max(boxes[k, 1], min(row + REACH_CELLS + 1, rows))
                     boxes[k, 2] = min(boxes[k, 2], max(column - REACH_CELLS, 0))
                     boxes[k, 3] = max(boxes[k, 3], min(column + REACH_CELLS + 1, columns))
-    box = boxes[int(sizes[1] <= sizes[0])]
-    return box[0], box[1], box[2], box[3]
+    k = int(sizes[1] <= sizes[0])
+    return boxes[k, 0], boxes[k, 1], boxes[k, 2], boxes[k, 3]
 
 
 @kernel('int32[:, ::1](int32[:, :], int64)')

@@ -164,7 +164,8 @@ def _refine(plane, search, threshold2):
         a, b, c = fit_plane(total)
         if np.isnan(a):
             return plane, grown[:0]
-        plane, members = np.array([a, b, c]), grown
+        plane, members = np.empty(3), grown
+        plane[0], plane[1], plane[2] = a, b, c
     return plane, members
 
 
