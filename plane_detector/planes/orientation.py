@@ -77,8 +77,8 @@ EXPECTED_SIGMA_RAD, LOG_SIGMA_SPREAD = np.radians(12.0), 1.0
 # tuned: pure regions of fastdepth on frames of a Kinect, NYU and a living room: the median of
 # their errors is 4 times the bend, nine of ten are below this; angles the same from 10 to 14.
 TILT_PER_BEND = 12.0
-# No plane is turned by more than this multiple of its error. tuned: as above and misleading
-# pictures, rooms from seed 300; the same from 10 on, up to where planes are turned by 90 degrees.
+# No plane is rotated by more than this multiple of its error. tuned: as above and misleading
+# pictures, rooms from seed 300; the same from 10 on, up to where planes are rotated by 90 degrees.
 MOST_TILTS = 10.0
 # derived: the mean relative error of fastdepth's depth on frames of other cameras.
 DEPTH_ERROR_SHARE = 0.25
@@ -149,7 +149,7 @@ def score_orientations(planes: Planes, directions: SceneDirections,
     variances = normal_variances(planes, samples, SIGMAS_RAD[:, None], shift_rad)
     outliers = _outliers(variances, samples.image_shares)
     scores = _log_likelihood(hypotheses, variances, outliers[..., None]) - lost
-    # Whatever its lines: a region is turned within its error.
+    # Whatever its lines: a region is rotated within its error.
     scores[hypotheses.angle_rad > MOST_TILTS * np.sqrt(variances)[..., None]] = -np.inf
     prior = -0.5 * (np.log(SIGMAS_RAD / EXPECTED_SIGMA_RAD) / LOG_SIGMA_SPREAD) ** 2
     evidence_of = np.logaddexp.reduce(scores, axis=2).sum(axis=1) + prior

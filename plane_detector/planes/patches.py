@@ -4,7 +4,7 @@
 Pixels on no plane take the plane of most of their patch of one colour.
 
 The depth of a network is off its planes in places, by more than its noise. The planes are measured
-and turned without these pixels, which only take the label.
+and reoriented without these pixels, which only take the label.
 """
 
 from __future__ import annotations

@@ -65,10 +65,9 @@ def measure_reoriented(regions: PixelRegions, intrinsics: CameraIntrinsics, min_
     planes, labels = measure_planes(regions, intrinsics, min_pixels)
     if not len(planes):
         return planes, labels
-    turned = reorient(replace(regions, labels=labels,
-                              rotated_rad=_rotations(regions, labels, len(planes))),
-                      planes, lines, intrinsics, shift_rad)
-    return measure_planes(turned, intrinsics, min_pixels)
+    own = replace(regions, labels=labels, rotated_rad=_rotations(regions, labels, len(planes)))
+    reoriented = reorient(own, planes, lines, intrinsics, shift_rad)
+    return measure_planes(reoriented, intrinsics, min_pixels)
 
 
 def _rotations(regions: PixelRegions, labels: np.ndarray, count: int) -> np.ndarray:
@@ -135,8 +134,9 @@ def reorient(regions: PixelRegions, planes: Planes, lines: ImageDirections,
         again = samples.joined(group).offsets(normals)
         grown &= np.isfinite(again)
         offsets[grown] = again[grown]
-    turned = _rotated(joined, normals, offsets, changed | grown, intrinsics)
-    return replace(turned, certainty=found.probability, class_certainty=found.class_probability)
+    reoriented = _rotated(joined, normals, offsets, changed | grown, intrinsics)
+    return replace(reoriented, certainty=found.probability,
+                   class_certainty=found.class_probability)
 
 
 def _rotated(regions: PixelRegions, normals: np.ndarray, offsets: np.ndarray,

@@ -105,7 +105,7 @@ def test_a_plane_seen_edge_on_has_finite_corners():
 @pytest.mark.parametrize('camera', [CameraIntrinsics(210.0, 305.0, 125.0, 150.0, 320, 240),
                                     CameraIntrinsics(96.0, 96.0, 159.5, 119.5, 320, 240),
                                     CameraIntrinsics(640.0, 640.0, 159.5, 119.5, 320, 240)])
-@pytest.mark.parametrize('sigma', [0.0, 0.004, 0.01])
+@pytest.mark.parametrize('sigma', [0.0, 0.01])
 def test_areas_are_those_of_the_pixels_and_within_the_rectangle(sigma, camera):
     """Of each pixel the part of the plane between its corners, by the lengths of its sides."""
     for seed in range(2):

@@ -31,8 +31,9 @@ FORMS = {
                lambda depth_m: cloud_msg(depth_to_points(depth_m, CAMERA), 2.0))}
 
 
-@pytest.mark.parametrize('colour', ['image', 'none'])
-@pytest.mark.parametrize('form', FORMS)
+@pytest.mark.parametrize('form, colour', [
+    ('metres', 'image'), ('tenths of a millimetre', 'none'), ('png', 'image'), ('rvl', 'none'),
+    ('points', 'image'), ('points', 'none')])
 def test_planes_of_every_form_are_true(robot, room, form, colour):
     parameters, topic, make = FORMS[form]
     # tenths of a millimetre reach to 6.5 m

@@ -124,8 +124,7 @@ def in_form(scenes, form, keep_raw=False, colour=True):
     return sorted(messages, key=lambda entry: entry[1]), name
 
 
-@pytest.mark.parametrize('colour', [True, False], ids=['colour', 'without colour'])
-@pytest.mark.parametrize('form', ['png', 'rvl'])
+@pytest.mark.parametrize('form, colour', [('png', True), ('rvl', False)])
 def test_compressed_depth_is_measured_depth(tmp_path, scenes, replay, form, colour):
     """No network is used although none was asked for: that one is weak."""
     messages, name = in_form(scenes, form, colour=colour)
