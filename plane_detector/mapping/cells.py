@@ -119,6 +119,28 @@ class Cells:
         middles_m = self.middles_m()
         return middles_m[np.argmin(((middles_m - flat_m) ** 2).sum(axis=1))]
 
+    @cached_property
+    def outlines(self) -> list[tuple[np.ndarray, bool]]:
+        """
+        The corners (N, 2), along u and v, of each part and of each hole, and which it is.
+
+        The largest part first, each followed by its holes.
+        """
+        # Twice as large, so that a border of one cell keeps its width; corners are between pixels.
+        mask = np.kron(self.seen, np.ones((2, 2), np.uint8)).astype(np.uint8)
+        contours, hierarchy = cv2.findContours(mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_SIMPLE)
+        if not contours:
+            return []
+        parents = hierarchy[0, :, 3].tolist()
+        parts = sorted((k for k, parent in enumerate(parents) if parent < 0),
+                       key=lambda k: -cv2.contourArea(contours[k]))
+        order = [k for part in parts for k in (part, *(
+            hole for hole, parent in enumerate(parents) if parent == part))]
+        simple = [(cv2.approxPolyDP(contours[k], _TOLERANCE, True).reshape(-1, 2),
+                   parents[k] >= 0) for k in order]
+        return [(self.size_m * ((corners + 0.5) / 2 + self.low), is_hole)
+                for corners, is_hole in simple if len(corners) > 2]
+
     def grown(self, low_m: np.ndarray, high_m: np.ndarray) -> Cells:
         """Return the cells with at least those between two corners (2,)."""
         low, high = ([min(max(rounded(value / self.size_m), -MOST_CELLS), MOST_CELLS)
@@ -212,28 +234,6 @@ def runs(cells: Cells) -> np.ndarray:
                     | (last[1:] != last[:-1]))
     begin, end = np.flatnonzero(is_new[:-1]), np.flatnonzero(is_new[1:])
     return np.column_stack([rows[begin], rows[end] + 1, first[begin], last[begin]])
-
-
-def outlines(cells: Cells) -> list[tuple[np.ndarray, bool]]:
-    """
-    Return the corners (N, 2), along u and v, of each part and of each hole, and which it is.
-
-    The largest part first, each followed by its holes.
-    """
-    # Twice as large, so that a border of one cell keeps its width; corners are between pixels.
-    mask = np.kron(cells.seen, np.ones((2, 2), np.uint8)).astype(np.uint8)
-    contours, hierarchy = cv2.findContours(mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_SIMPLE)
-    if not contours:
-        return []
-    parents = hierarchy[0, :, 3].tolist()
-    parts = sorted((k for k, parent in enumerate(parents) if parent < 0),
-                   key=lambda k: -cv2.contourArea(contours[k]))
-    order = [k for part in parts for k in (part, *(
-        hole for hole, parent in enumerate(parents) if parent == part))]
-    simple = [(cv2.approxPolyDP(contours[k], _TOLERANCE, True).reshape(-1, 2), parents[k] >= 0)
-              for k in order]
-    return [(cells.size_m * ((corners + 0.5) / 2 + cells.low), is_hole)
-            for corners, is_hole in simple if len(corners) > 2]
 
 
 def shared_cells(view: View, steps: np.ndarray, cells: Cells) -> np.ndarray:

@@ -69,6 +69,9 @@ def read_map(path: Path, frame_id: str = '') -> SavedMap:
     """
     try:
         content = json.loads(path.read_text(encoding='utf-8'))
+    except FileNotFoundError as error:
+        raise FileNotFoundError(f'there is no file {path}: ~/map/save and replay --map write one'
+                                ) from error
     except (UnicodeDecodeError, json.JSONDecodeError) as error:
         raise ValueError(f'{path} is not a whole map of planes: {error}') from error
     version = content.get('version') if isinstance(content, dict) else None

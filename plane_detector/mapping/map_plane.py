@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from plane_detector.mapping.cells import Cells, outlines
+from plane_detector.mapping.cells import Cells
 from plane_detector.mapping.heights import PlaneFrames
 from plane_detector.planes.outline import Polygon, Rectangles
 from plane_detector.types import PlaneClass, Planes
@@ -60,7 +60,7 @@ class MapPlane:
 def polygons_of(plane: MapPlane) -> tuple[Polygon, ...]:
     """Return the outlines of a plane in the frame of the map, each followed by its holes."""
     return tuple(Polygon(plane.points(corners_m), is_hole)
-                 for corners_m, is_hole in outlines(plane.cells))
+                 for corners_m, is_hole in plane.cells.outlines)
 
 
 def rectangles_of(planes: Sequence[MapPlane]) -> Rectangles:

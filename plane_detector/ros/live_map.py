@@ -48,7 +48,7 @@ class LiveMap:
             raise ValueError('map.enabled needs target_frame: a frame that does not move, such as '
                              'odom or map')
         self._map, self._frame_id, self._lock = PlaneMap(config), target_frame, threading.Lock()
-        self._epoch = 0
+        self._epoch = self._edition = 0
         self._published_s = -np.inf
         self._subsumed: dict[int, int] = {}
         self._last: tuple[Header, MapUpdate] | None = None
@@ -98,7 +98,12 @@ class LiveMap:
     def view(self, stamp: Any) -> MapView:
         """Return the map as it is now, with this builtin_interfaces/Time."""
         with self._lock:
-            return MapView(Header(stamp=stamp, frame_id=self._frame_id), self._map.snapshot())
+            return MapView(Header(stamp=stamp, frame_id=self._frame_id), self._map.snapshot(),
+                           edition=self._edition)
+
+    def is_current(self, view: MapView) -> bool:
+        """Whether the map was neither cleared nor loaded since."""
+        return view.edition == self._edition
 
     def plane_at(self, point_m: np.ndarray) -> tuple[Planes, MapPlane]:
         """
@@ -122,7 +127,7 @@ class LiveMap:
         with self._lock:
             count = len(self._map.planes)
             self._map.clear()
-            self._published_s = -np.inf
+            self._begin_edition()
         return f'{count} planes are gone'
 
     def save(self, path: Path) -> str:
@@ -135,7 +140,7 @@ class LiveMap:
         """Replace the map by that of a file; on an error, OSError or ValueError, it stays."""
         with self._lock:
             self._map.load(path, self._frame_id)
-            self._published_s = -np.inf
+            self._begin_edition()
             return f'{len(self._map.planes)} planes from {path.absolute()}'
 
     def take_events(self) -> list[str]:
@@ -180,4 +185,7 @@ class LiveMap:
     def _view(self) -> MapView:
         self._published_s = self._last_s
         subsumed, self._subsumed = self._subsumed, {}
-        return MapView(self._last[0], self._map.snapshot(), subsumed)
+        return MapView(self._last[0], self._map.snapshot(), subsumed, self._edition)
+
+    def _begin_edition(self) -> None:
+        self._edition, self._published_s, self._subsumed = self._edition + 1, -np.inf, {}

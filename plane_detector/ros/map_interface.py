@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -30,7 +31,7 @@ class MapInterface:
     """
 
     def __init__(self, node: LifecycleNode, live_map: LiveMap, path: Path):
-        self._node, self._map = node, live_map
+        self._node, self._map, self._publishing = node, live_map, threading.Lock()
         self._outputs = OutputPublishers(node, MAP_OUTPUTS, latched=True)
         self._services = [
             node.create_service(Trigger, f'~/map/{name}', partial(self._answer, act))
@@ -39,8 +40,10 @@ class MapInterface:
                               ('load', partial(live_map.load, path)))]
 
     def publish(self, view: MapView | None) -> None:
-        """Publish the map, if there is one to be published."""
-        self._outputs.publish(make_map_messages(view))
+        """Publish the map, if there is one and it was not cleared or loaded meanwhile."""
+        with self._publishing:
+            if view is not None and self._map.is_current(view):
+                self._outputs.publish(make_map_messages(view))
 
     def misfits(self) -> dict[str, str]:
         """Return why subscribers receive nothing, as that of the other outputs."""

@@ -11,7 +11,6 @@ from plane_detector.mapping.cells import (
     Cells,
     View,
     are_near,
-    outlines,
     runs,
     shared_cells,
     vote,
@@ -94,7 +93,7 @@ def test_growing_keeps_what_is_there():
 def test_outlines_of_a_frame_with_its_hole():
     seen = np.ones((10, 10))
     seen[3:6, 3:6] = 0
-    (outer, is_hole), (inner, is_inner_hole) = outlines(cells_of(seen))
+    (outer, is_hole), (inner, is_inner_hole) = cells_of(seen).outlines
     assert (is_hole, is_inner_hole) == (False, True)
     assert np.ptp(outer, axis=0) == pytest.approx([1.0, 1.0], abs=0.06)
     assert inner.mean(axis=0) == pytest.approx([0.45, 0.45], abs=0.03)

@@ -20,7 +20,7 @@ class Odometry:
     """TF of a camera, image by image."""
 
     def __init__(self):
-        self.buffer = TransformBuffer()
+        self.buffer, self.node = TransformBuffer(), None
 
     def place(self, stamp_s, x_m=0.4, turn_deg=0.0):
         turn = Rotation.from_euler('zy', [30, turn_deg], degrees=True)
@@ -29,7 +29,8 @@ class Odometry:
 
 def begin(robot, tmp_path, wait=True, **settings):
     odometry = Odometry()
-    start(robot, lambda rgb: ROOM.depth_m, wait, transforms=FrameTransforms(odometry.buffer),
+    odometry.node = start(
+        robot, lambda rgb: ROOM.depth_m, wait, transforms=FrameTransforms(odometry.buffer),
           **{'map.enabled': True, 'map.file': str(tmp_path / 'map.json'), 'target_frame': 'odom',
              'tf_timeout': 0.0, **settings})
     return odometry
@@ -75,6 +76,19 @@ def test_the_map_is_latched_saved_cleared_and_loaded(robot, tmp_path):
     assert not cut.success
     assert 'is not a whole map' in cut.message
     assert robot.spin(lambda: robot.diagnosis()[1].get('map_planes') == str(len(labels)))
+
+
+def test_a_map_that_was_made_before_clear_is_not_published_after_it(robot, tmp_path):
+    odometry = begin(robot, tmp_path)
+    hear(robot)
+    show(robot, odometry, 1.0, 1)
+    robot.wait_for('map')
+    node = odometry.node
+    late = node._live_map.view(header(1.0).stamp)
+    assert trigger(robot, 'clear').success
+    node._map.publish(late)
+    robot.spin(timeout_s=0.5)
+    assert robot.received['map'][-1].width == 0
 
 
 def test_a_click_beside_the_image_is_answered_from_the_map(robot, tmp_path):

@@ -28,6 +28,7 @@ class MapView:
     snapshot: MapSnapshot
     # Labels that are gone since the last view, and the planes that they are part of now.
     subsumed: Mapping[int, int] = field(default_factory=dict)
+    edition: int = 0  # how often the map had been cleared or loaded
 
 
 @dataclass(frozen=True, kw_only=True)
