@@ -34,7 +34,7 @@ def compiled(request):
     import plane_detector.pipeline
     import plane_detector.ros.outputs.topics  # noqa: F401 - these bring the kernels
     compile_kernels(('ros', 'drawing', 'geometry', 'segmentation', 'directions', 'planes',
-                     'ground', 'network', 'shapes'))
+                     'ground', 'network', 'shapes', 'mapping'))
 
 
 @lru_cache(maxsize=16)

@@ -136,6 +136,9 @@ def to_svg(plan: FloorPlan) -> str:
         (x1, y1), (x2, y2) = place(ends)
         lines.append(f'<line x1="{x1}" y1="{y1}" x2="{x2}" y2="{y2}" stroke="#333" '
                      f'stroke-width="4"><title>wall {label}</title></line>')
+    # How long a metre is.
+    lines.append(f'<path d="M10 {height - 10} h{_PIXELS_PER_M}" stroke="#333"/>'
+                 f'<text x="10" y="{height - 14}" font-size="12">1 m</text>')
     return '\n'.join([*lines, '</svg>', ''])
 
 

@@ -43,17 +43,23 @@ _HEAD = (f'{"label":>5}  {"class":<16} {"distance":>8} {"width":>7} {"height":>7
          f'{"rms":>7} {"sure":>5}  normal')
 
 
+_MAP_HEAD = (f'{"label":>5}  {"class":<16} {"x":>7} {"y":>7} {"z":>7} {"width":>7} {"height":>7} '
+             f'{"area":>8} {"views":>5} {"sigma":>7}  normal')
+
+
 def table_of(msg: PointCloud2, is_metric: bool = True, camera: str = '') -> str:
     """
-    Return the planes of a message of ``~/planes`` as lines of text, largest first.
+    Return the planes of ``~/planes``, largest first, or of ``~/map/planes`` as lines of text.
 
     ``camera`` is what the diagnostics say of its height, tilt and drops.
     """
     unit = 'metres' if is_metric else 'lengths in an unknown unit'
     rows = read_cloud(msg).ravel() if msg.height else ()
+    if is_map := any(field.name == 'subsumed_by' for field in msg.fields):
+        rows = [row for row in rows if not row['subsumed_by']]
     frame_id = plain(msg.header.frame_id)
     return '\n'.join([f'{len(rows)} planes at {stamp_text(msg)} in {frame_id}, {unit}',
-                      *filter(None, [camera]), *plane_lines(rows)])
+                      *filter(None, [camera]), *(map_lines if is_map else plane_lines)(rows)])
 
 
 def plane_lines(rows: Iterable[np.void]) -> list[str]:
@@ -65,6 +71,19 @@ def plane_lines(rows: Iterable[np.void]) -> list[str]:
         lines.append(f'{row["label"]:>5}  {name:<16} {row["d"]:>8.2f} {row["rect_width"]:>7.2f} '
                      f'{row["rect_height"]:>7.2f} {row["area"]:>8.2f} {row["rms"]:>7.3f} '
                      f'{row["confidence"]:>5.0%}  {normal}')
+    return lines
+
+
+def map_lines(rows: Iterable[np.void]) -> list[str]:
+    """Return the header and a line for each row of ``~/map/planes`` that is a plane."""
+    lines = [_MAP_HEAD]
+    for row in rows:
+        name = _CLASS_NAMES.get(int(row['class']), f'class {row["class"]}')
+        place, normal = (' '.join(f'{row[prefix + axis]:{form}}' for axis in 'xyz')
+                         for prefix, form in (('', '7.2f'), ('normal_', '+.2f')))
+        lines.append(f'{row["label"]:>5}  {name:<16} {place} {row["rect_width"]:>7.2f} '
+                     f'{row["rect_height"]:>7.2f} {row["area"]:>8.2f} {row["views"]:>5} '
+                     f'{row["sigma_d"]:>7.3f}  {normal}')
     return lines
 
 

@@ -18,8 +18,16 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from ros_helpers import camera_info_msg, cloud_array
 from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import Header
 
+from plane_detector import Config, PlaneDetector
+from plane_detector.config import DepthConfig
+from plane_detector.geometry.rigid_transform import RigidTransform
+from plane_detector.mapping.plane_map import PlaneMap
 from plane_detector.planes.classification import PlaneClass
+from plane_detector.planes.outline import PlacedDetection
+from plane_detector.ros.outputs.frame import MapView
+from plane_detector.ros.outputs.map_messages import map_planes_to_msg
 from plane_detector.ros.outputs.plane_json import planes_to_json
 from plane_detector.ros.outputs.topics import OUTPUTS
 from plane_detector.tools import rviz
@@ -42,6 +50,20 @@ def test_the_printed_table():
         '0.003', '75%', '-0.28', '+0.00', '-0.96']
     assert 'unknown unit' in table_of(two_planes(), is_metric=False)
     assert len(lines) == 4
+
+
+def test_the_printed_table_of_a_map(room):
+    found, planes = room(3), PlaneMap()
+    detection = PlaneDetector(Config(depth=DepthConfig(source='topic'))).detect(
+        found.rgb, found.intrinsics, found.depth_m)
+    planes.update(PlacedDetection(detection, found.intrinsics, RigidTransform.identity(), 0.0))
+    msg = map_planes_to_msg(MapView(Header(frame_id='odom'), planes.snapshot(), {99: 1}))
+    lines = table_of(msg).splitlines()
+    row, *_ = cloud_array(msg)[0]
+    assert lines[0].startswith(f'{len(planes.planes)} planes at ')
+    assert len(lines) == 2 + len(planes.planes)  # 99 is part of another one
+    assert lines[2].split()[0] == str(row['label'])
+    assert [f'{row[name]:.2f}' for name in 'xyz'] == lines[2].split()[-11:-8]
 
 
 def test_what_another_node_sends_cannot_drive_the_terminal_or_end_the_program():
