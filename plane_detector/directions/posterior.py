@@ -48,7 +48,7 @@ MAX_PITCH_DEG, MAX_ROLL_DEG, STEP_DEG = 60.0, 30.0, 7.5
 # chosen: lines alone then leave open which of them a surface parallel to the image plane is, and
 # nothing at ten degrees from there.
 LOOKING_DOWN, DOWN_DEG, MAX_DOWN_DEG = 0.05, 12.0, 25.0
-# The disparity tells: upright cameras see what is near at the bottom. The trend is the difference
+# By the disparity: upright cameras see what is near at the bottom. The trend is the difference
 # of the medians of the lowest and the highest quarter of the image over the spread (10 to 90 %) of
 # all. Its density upright is normal, or as from above anywhere between -1 and 1. measured: .3 to
 # 1 in 49 of 57 upright views of rooms, without bias in 20 from above.

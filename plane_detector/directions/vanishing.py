@@ -4,10 +4,10 @@
 Directions of a calibrated image: the vertical and pairs of horizontal axes.
 
 1. The main mode of the posterior is fitted to its segments; the probability is that of the
-   verticals near this answer. Which of the three axes is the vertical, the lines do not tell: the
+   verticals near this answer. Which of the three axes is the vertical, the lines do not show: the
    prior does, and the surfaces of the depth.
-2. Its level lines may be those of a floor that rises: the upright lines alone tell.
-3. Its upright lines may be those of a thing that leans, a ladder or a fence: all else tells.
+2. Its level lines may be those of a floor that rises: the upright lines alone decide.
+3. Its upright lines may be those of a thing that leans, a ladder or a fence: all else decides.
    What remains is the probability of the vertical.
 4. The azimuth of horizontal axes about it has a posterior of the same kind. Further pairs (an
    Atlanta world, Schindler and Dellaert 2004) have that of the segments that no direction before
@@ -177,7 +177,7 @@ def _if_it_rises(axes: np.ndarray, evidence: Evidence) -> tuple[float, np.ndarra
     downs = turned[:, 0]
     bases = np.concatenate([downs[:, None], np.broadcast_to(axes[1:], (len(downs), 2, 3))], axis=1)
     upright = _log_likelihood(bases, replace(evidence, normals=evidence.normals[:0]))[0]
-    # The normals tell, too: those of a floor that rises are along no axis then.
+    # The normals decide, too: those of a floor that rises are along no axis then.
     upright += _log_likelihood(turned, replace(evidence, lines=evidence.lines[:0]))[1]
     mass = np.exp(upright - upright.max())
     is_level = downs @ axes[0] > np.cos(np.radians(LEVEL_DEG))

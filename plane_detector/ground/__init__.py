@@ -7,7 +7,7 @@ The lowest level in an image is not the floor: at the head of a staircase it is 
 Planes give the levels and slopes, pixels what lies on them. The steps, as in `ground.find_ground`:
 
 1. The direction down. If the own floor is level within the error of gravity, it is exact: slopes
-   are told against the own floor, and the error of an IMU tilts nothing.
+   are measured against the own floor, and the error of an IMU tilts nothing.
 2. The own floor: the surface at the height of the camera, if that is known; otherwise the one that
    most ways over the ground (`ways`) meet first, which reaches nearest to the robot. A floor too
    rough for a plane is the level of the nearest pixels.
@@ -20,7 +20,7 @@ Planes give the levels and slopes, pixels what lies on them. The steps, as in `g
    pixels behind it: a pixel that stands off it by less than ``min_height``, or by less than its
    error, is ground. So is one without a plane to which the way leads without a step: what is
    behind a ramp may be too small for a plane. Every other one is an obstacle, but for specks and
-   flying pixels (`obstacles`). A plane that is not ground was told from it by all its pixels: of
+   flying pixels (`obstacles`). A plane that is not ground differs from it by all its pixels: of
    these only the foot is ground.
 5. Drops: where the ground ends on a way and the next surface seen is lower. An obstacle that is
    met first hides what is behind it: nothing is claimed there. Where nothing at all is seen behind

@@ -22,11 +22,11 @@ from plane_detector.ground.ways import FRACTION_BITS
 # Borders of regions are right within this many pixels: so many pixels one after another are a
 # surface, and ways so far apart neighbours.
 BORDER_PX = 6
-# A wall's foot is told from the ground by its plane; this much of it is the plane's own error.
+# A wall's foot differs from the ground by its plane; this much of it is the plane's own error.
 # Flat from 0 to .014 within .0005 of the obstacles.
 FOOT_M = 0.01
 # A plane's error as a share of a pixel's: what of the noise is smooth stays. With 1, a drop of
-# 10 cm is not told beyond 3 m at a noise of .004.
+# 10 cm is not found beyond 3 m at a noise of .004.
 PLANE_SHARE = 0.3
 # Points of one edge are at most this far apart, and so many ways: noise hides it in some.
 EDGE_GAP_M, EDGE_GAP_PX = 0.15, 24
@@ -216,7 +216,7 @@ def mark_ground(depth_m, labels, lines, ways, ray_x, ray_y, planes, down, is_gro
                 h = s * z + d
                 off = abs(h)
                 heights[p] = h
-                # A plane that is no ground was told from it by all its pixels.
+                # A plane that is no ground was distinguished from it by all its pixels.
                 near = (off <= (foot if on_plane and not belongs else low_m)
                         or off <= abs(s) * z * z * error)
                 if near and belongs:

@@ -57,14 +57,14 @@ SLOPE_MARGIN_DEG = 1.0
 NEAR_SHARE = 8
 # Borders are sampled at every fourth pixel; fewer samples that join are chance.
 MIN_JOINS = 3
-# Of every eighth pixel: so many tell the heights of a plane, of which this share may be off.
+# Of every eighth pixel: so many give the heights of a plane, of which this share may be off.
 MIN_SAMPLES, STRAY_SHARE = 10, 0.05
 # By contract: a level within this height of the own floor, reached by risers, is a step.
 STEP_RANGE_M = 0.5
 # An error counts as a difference beyond this many standard deviations. With 2, less of a far
 # level behind a ramp is ground, with 4 half as much again of the obstacles.
 SIGMAS = 3.0
-# Drops are told only if an error of depth does not look like one at this distance, metres.
+# Drops are reported only if an error of depth does not look like one at this distance, metres.
 TOLD_AT_M, LARGEST_ERROR_M = 2.0, 0.3
 # Sources of gravity that state how the camera is mounted. chosen: a height is measured with a tape
 # within so much, and so large a share.
@@ -430,10 +430,10 @@ def own_floor(found: PlaneSegmentation, labels: np.ndarray, ways: Ways, gravity:
     but the floor is not seen.
     """
     planes, down = found.planes, gravity.gravity_camera
-    # Lines in the image may be along a ramp; their own scatter does not tell.
+    # Lines in the image may be along a ramp; their own scatter does not show it.
     tolerance_deg = max(gravity.tolerance_deg, COARSE_DEG if gravity.source == 'image' else 0.0)
     is_coarse = tolerance_deg > COARSE_DEG
-    # Walls tell the floor from a ramp only if they do not stand along it: a help, no reference.
+    # Walls part the floor from a ramp only if they do not stand along it: a help, no reference.
     refined = refine_gravity(planes, down, tolerance_deg) if is_coarse else None
     if refined is not None:
         down, tolerance_deg = refined, LEVEL_DEG

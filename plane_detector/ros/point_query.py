@@ -55,7 +55,7 @@ class PointQuery:
             try:
                 plane, description = self._plane_at(result, point_in_camera(result, click))
             except ValueError as error:
-                self._faults.tell(error)
+                self._faults.report(error)
                 continue
             (pose,) = messages.poses_to_msg(result.target_header, plane).poses
             self._publisher.publish(PoseStamped(header=result.target_header, pose=pose))
@@ -87,7 +87,7 @@ class PointQuery:
         self._clicks.append(msg)
 
     def _refuse(self) -> None:
-        self._faults.tell(ValueError('the node is not active'))
+        self._faults.report(ValueError('the node is not active'))
 
 
 def point_in_camera(result: DetectedFrame, click: PointStamped) -> np.ndarray:

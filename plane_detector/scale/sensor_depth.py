@@ -80,7 +80,7 @@ def fit_measured_depth(disparity: np.ndarray, sensor_depth_m: np.ndarray, *,
     if agree.sum() < max(MIN_POINTS, 0.5 * len(index)):
         return _refused('more than half of the measured depth disagrees with the network')
     if not np.sqrt(covariance[0, 0]) < MAX_SCALE_SIGMA_SHARE * alpha:
-        return _refused('measured depth varies too little to tell scale from shift')
+        return _refused('measured depth varies too little to separate scale and shift')
     jacobian = np.array([[-1.0, 0.0], [beta, -alpha]]) / alpha**2
     return DepthFit(1.0 / alpha, -beta / alpha, jacobian @ covariance @ jacobian.T,
                     int(agree.sum()), '')

@@ -55,7 +55,7 @@ PRIOR_LOGIT, PRIOR_SPREAD = -0.3, 1.0
 # the second grid covers what is left of the first.
 REACH, COARSE_POINTS, FINE_POINTS, NEGLIGIBLE = (0.004, 8.0), 48, 64, 1e-3
 # The answer is refused above this uncertainty of angles. chosen: where walls and floors can still
-# be told apart, as required of angles.
+# be distinguished, as required of angles.
 MAX_ANGLE_SIGMA_DEG = 8.0
 
 

@@ -5,7 +5,7 @@ Depth that repeats exactly over a region is no measurement.
 
 Drivers and robots write constants: over the robot's own body, beyond the range, as a mark for
 invalid. Such a region has no noise, fills as a plane, and sets the noise of the image to 0. It is
-told by its border, where it stands apart from what surrounds it, or by its frequency, far above
+known by its border, where it stands apart from what surrounds it, or by its frequency, far above
 that of any other value. A wall that a simulator sees exactly from the front looks the same: what
 is constant stays if the rest of the image has no noise either.
 """

@@ -11,7 +11,7 @@ plane. Edges and curved surfaces make them large, so a low quantile estimates th
 Johnstone 1994 take the median for signals with few edges). One estimator serves depth of any noise
 level, exact or not.
 
-The systematic part is told from the smooth one by how the errors grow with the distance. What a
+The systematic part differs from the smooth one in how the errors grow with the distance. What a
 blur has made smooth is a field of one length: up to that length the differences between its values
 grow with the square of the distance, beyond it they do not grow. The errors of real sensors have
 no such length: the variance of their differences grows with about the distance, as that of a

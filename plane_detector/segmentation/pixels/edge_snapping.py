@@ -10,7 +10,7 @@ that are none of the depth, too, so the depth decides first which of these pixel
 
 1. The blur is measured where the depth steps from plane to plane: it is the width within which it
    passes from a fifth to four fifths of the step.
-2. If steps are sharp, a pixel is moved only if its depth cannot tell the two planes apart, as they
+2. If steps are sharp, a pixel is moved only if its depth cannot separate the two planes, as they
    differ there by less than the noise of a surface, or if it is on the new plane and not on the
    old one.
 3. If steps are blurred, the depth near a border is none of the scene's: a pixel is moved unless
@@ -50,7 +50,7 @@ SMOOTHING_PX = 1.0
 # tuned: 14 real frames through FastDepth, SC without snapping .408: .412 at 2 and 3; exact rooms
 # with misleading images lose at most .001.
 MOST_DEVIATIONS = 3.0
-# Planes cannot be told apart where they differ by less than this multiple of the smooth noise.
+# Planes cannot be distinguished where they differ by less than this multiple of the smooth noise.
 # tuned: 6 rooms from seed 300 with misleading pictures, noise of .002 and .008 per metre.
 SAME_SIGMAS = 0.7
 # Steps of which the blur is measured: smallest, in deviations of the pixel and of the smooth
