@@ -136,7 +136,7 @@ class Health:
     """
     Collects problems. The worker thread calls `note`, the executor's thread all the rest.
 
-    There is no lock: attributes are replaced as a whole, `_told` only grows between two calls of
+    There is no lock: attributes are replaced as a whole, `_warned` only grows between two calls of
     `clear`, and a status may mix two frames.
 
     Attributes
