@@ -47,6 +47,11 @@ class WeightedCells:
     # MEAN_X
     table: np.ndarray
 
+    @cached_property
+    def least_variance(self) -> float:
+        """The variance of the mean of the cell that varies least."""
+        return 1 / max(float(self.table[:, MEAN_WEIGHT].max(initial=0.0)), MIN_VARIANCE)
+
 
 @dataclass(frozen=True)
 class PlaneRegions:

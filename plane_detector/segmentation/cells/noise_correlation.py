@@ -43,7 +43,6 @@ MIN_POWER, MAX_POWER = 0.5, 2.0
 # sensors, and rooms and lived-in rooms with blurred noise below seed 9000: flat from 1.4 to 1.5
 # and from 2.5 to 3.5, largest 2.5 to 3: SC of the NYU frames .907 to .927; chosen on seven of
 # them, the eighth has .931 in the mean. NYU -0.03 at 1.35; rooms of sensors -0.01 at 3.5.
-ROUGHNESS_LAGS = 1, 4, 8
 SMOOTH_POWER, BENDING_PER_POWER, MAX_BENDING = 1.45, 2.5, 3.0
 # The growth at which the systematic part begins to count, and that at which all of it counts.
 # tuned: as above; flat from 0.2 to 0.3 and from 0.45 to 0.6; SC of lived-in rooms in simulated
@@ -55,11 +54,17 @@ MIN_GROWTH, FULL_GROWTH = 0.3, 0.6
 # blurred noise and of bows with .0 to .5. From the first of these powers on it has a systematic
 # part, with the second all of it.
 # tuned: 16 rooms of filtered depth of benchmark labelled, bows of .3 to 5 m radius and the frame
-# of a phone: flat from .4 to .8; SC of these rooms .908 with the growth about planes, .968 now.
-# From the third on, about planes, it is what surfaces that are not yet apart leave in the largest
-# ones: 1.7 in a workshop (stereo), where noise of 10 mm joined what 3 mm keep apart.
-# tuned: as above; SC .952 at 1.45 (one room), .963 at 1.8, where the workshop loses its planes.
-MIN_WANDERING, FULL_WANDERING, MAX_WANDERING = 0.6, 0.9, 1.6
+# of a phone: flat from .4 to .8; SC of these rooms .908 with the growth about planes, .963 now.
+# From the third on, about planes from 2 to 8 cells, it is what surfaces that are not yet apart
+# leave in the largest ones: 1.85 to 1.92 in a workshop (stereo), where noise of 10 mm joined what
+# 3 mm keep apart. Filtered rooms have up to 1.74, the phone's 1.65.
+# tuned: as above.
+MIN_WANDERING, FULL_WANDERING, MAX_WANDERING = 0.6, 0.9, 1.8
+# It counts the less the rougher the noise is, up to this excess: then the walk of rough noise
+# decides.
+# tuned: 16 frames of today's sensors: a wall and a door are one at 1, in four of 20 draws of noise
+# the noise of the phone is a third of that in the others at 0.
+MAX_ROUGHNESS = 0.5
 # The least error of whole planes, by which every sensor bends them: time of flight cameras have 3
 # to 11 mm, in waves over their range and in corners, which planes in pieces do not show any more.
 # tuned: rooms, lived-in rooms and curved scenes below seed 9000, flat from 0.004 to 0.006: SC in
@@ -216,26 +221,22 @@ def bending_of(model: WeightedCells, regions: PlaneRegions, noise: Noise) -> flo
         variance = (SIGMA_PER_MEDIAN * median(moduli)) ** 2 - 2 * own if len(moduli) else 0.0
         return math.log2(variance) if variance > 0 else math.nan
 
-    near, middle, far = ROUGHNESS_LAGS
-    at_middle = log_variance(middle)
-    power = (at_middle - log_variance(near)) / math.log2(middle / near)
-    growth = (log_variance(far) - at_middle) / math.log2(far / middle)
-    excess, limits = BENDING_PER_POWER * (SMOOTH_POWER - power), (MIN_GROWTH, FULL_GROWTH)
-    if power >= SMOOTH_POWER:
-        if growth < MAX_WANDERING:
-            _remove_bows(labels, residuals, model.table, len(regions.coefficients))
-            growth = (log_variance(far) - log_variance(middle)) / math.log2(far / middle)
-        else:
-            growth = 0.0
-        excess, limits = MAX_BENDING - 1, (MIN_WANDERING, FULL_WANDERING)
-    if math.isnan(power + growth) or (power >= SMOOTH_POWER and growth < limits[0]):
+    at_one, at_two, at_four, at_eight = (log_variance(lag) for lag in (1, 2, 4, 8))
+    power, growth = (at_four - at_one) / 2, at_eight - at_four
+    if math.isnan(power + growth):
         return 1.0
-    excess = min(excess, MAX_BENDING - 1)
-    share = min(max((growth - limits[0]) / (limits[1] - limits[0]), 0.0), 1.0)
-    of_smooth = 1 + excess * share
+    roughness = min(max(BENDING_PER_POWER * (SMOOTH_POWER - power), 0.0), MAX_BENDING - 1)
+    excess = roughness * _share_between(growth, MIN_GROWTH, FULL_GROWTH)
+    if roughness < MAX_ROUGHNESS and (at_eight - at_two) / 2 < MAX_WANDERING:
+        _remove_bows(labels, residuals, model.table, len(regions.coefficients))
+        wandering = _share_between(log_variance(8) - log_variance(4), MIN_WANDERING,
+                                   FULL_WANDERING)
+        excess = max(excess, (MAX_BENDING - 1) * wandering * (1 - roughness / MAX_ROUGHNESS))
+    of_smooth = 1 + excess
     if noise.is_metric:
         least = LEAST_ERROR_M * model.grid.typical_disparity**2 / smooth_sigma
-        of_smooth = max(of_smooth, min(math.hypot(1, least * min(excess, 1.0)), MAX_BENDING))
+        of_smooth = max(of_smooth, min(math.hypot(1, least * min(max(roughness, excess), 1.0)),
+                                       MAX_BENDING))
     return (1 + (of_smooth**2 - 1) * (smooth_sigma / noise.mean_sigma) ** 2) ** 0.5
 
 
@@ -286,6 +287,11 @@ def _differences(labels, residuals, lag):
                         moduli[count] = abs(difference)
                         count += 1
     return moduli[:count]
+
+
+def _share_between(value: float, low: float, high: float) -> float:
+    """Return where a value lies between two others, from 0 to 1; 0 for NaN."""
+    return min(max(0.0, (value - low) / (high - low)), 1.0)
 
 
 def _bounded(share: float) -> float:

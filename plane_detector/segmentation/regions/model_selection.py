@@ -16,6 +16,7 @@ import numpy as np
 from plane_detector.compilation import kernel
 from plane_detector.segmentation.cells.model import (
     MEAN_D,
+    MEAN_WEIGHT,
     MEAN_X,
     MEAN_Y,
     MIN_VARIANCE,
@@ -68,31 +69,38 @@ def prefer_two_planes(cells: WeightedCells, labels: np.ndarray, correlation: Cor
         return False
     limit = MIN_LOG_LIKELIHOOD_GAIN / correlation.power
     return limit < log_likelihood_gain(np.ascontiguousarray(labels), cells.table, cells.is_planar,
-                                       correlation.of_neighbours, (first, second), 2 * limit)
+                                       correlation.of_neighbours, (first, second),
+                                       (2 * limit, cells.least_variance))
 
 
 # With MAX_CELLS it takes 0.2 ms and keeps the lock, as the node switches threads after 1 ms; with
 # the usual number 0.03 ms.
 @kernel('float64(int32[:, ::1], float64[:, ::1], boolean[::1], float64[:, ::1], '
-        'UniTuple(int64, 2), float64)', is_short=True)
-def log_likelihood_gain(labels, table, is_planar, covariance, pair, enough):
-    """Return twice the gain of two planes over one, of fewer cells if these show enough."""
+        'UniTuple(int64, 2), UniTuple(float64, 2))', is_short=True)
+def log_likelihood_gain(labels, table, is_planar, covariance, pair, limits):
+    """
+    Return twice the gain of two planes over one, of fewer cells if these show enough.
+
+    ``limits`` are what is enough, and the variance of the cell that varies least: what others vary
+    more, as steep ones do, is independent of their neighbours.
+    """
     (cell, is_first), columns, gain = _cells_about(labels, is_planar, pair), labels.shape[1], 0.0
     for most in (NEAREST_CELLS, MAX_CELLS):
-        if gain < enough and (most == NEAREST_CELLS or len(cell) > NEAREST_CELLS):
-            gain = _gain(table, covariance, columns, cell[:most], is_first[:most])
+        if gain < limits[0] and (most == NEAREST_CELLS or len(cell) > NEAREST_CELLS):
+            gain = _gain(table, covariance, columns, cell[:most], is_first[:most], limits[1])
     return gain
 
 
-@kernel('float64(float64[:, ::1], float64[:, ::1], int64, int64[::1], boolean[::1])')
-def _gain(table, covariance, columns, cell, is_first):
+@kernel('float64(float64[:, ::1], float64[:, ::1], int64, int64[::1], boolean[::1], float64)')
+def _gain(table, covariance, columns, cell, is_first, least):
     """Return twice the gain of two planes over one; 0 if either has too few cells for a fit."""
     of_first = 0
     for i in range(len(cell)):
         of_first += is_first[i]
     if min(of_first, len(cell) - of_first) <= PLANE_TERMS:
         return 0.0
-    products = _weighted_products(_system(table, covariance, columns, cell, is_first))
+    products = _weighted_products(_system(table, covariance, columns, cell, is_first,
+                                          least))
     one = solve_least_squares(products, PLANE_TERMS, np.empty(7))
     return one - solve_least_squares(products, 2 * PLANE_TERMS, np.empty(7))
 
@@ -172,8 +180,9 @@ def _distance(labels, label):
     return distance
 
 
-@kernel('float32[:, ::1](float64[:, ::1], float64[:, ::1], int64, int64[::1], boolean[::1])')
-def _system(table, covariance, columns, cell, is_first):
+@kernel('float32[:, ::1](float64[:, ::1], float64[:, ::1], int64, int64[::1], boolean[::1], '
+        'float64)')
+def _system(table, covariance, columns, cell, is_first, least):
     """
     Return the upper triangle of the covariance (n, n) of cells, and seven columns behind it.
 
@@ -191,6 +200,7 @@ def _system(table, covariance, columns, cell, is_first):
     for i in range(n):
         for j in range(i, n):
             work[i, j] = covariance[abs(row[i] - row[j]), abs(column[i] - column[j])]
+        work[i, i] += 1 / table[cell[i], MEAN_WEIGHT] - least
         work[i, n], work[i, n + 1] = 1.0, table[cell[i], MEAN_X] - x
         work[i, n + 2], work[i, n + 6] = table[cell[i], MEAN_Y] - y, table[cell[i], MEAN_D] - d
         for k in range(n, n + 3 if is_first[i] else n):
