@@ -88,7 +88,7 @@ def find_in_image(image: CameraImage, expected: Expected | None = None,
     segments = detect_line_segments(image.rgb, image.intrinsics, image.covered)
     surface = (None if image.disparity is None or image.has_shift
                else surface_normals(image.disparity, image.intrinsics))
-    odds_down = 0.0 if image.disparity is None else log_odds_down(image.disparity)
+    odds_down = 0.0 if image.disparity is None else log_odds_down(image.disparity, surface)
     if before is not None:
         expected = carried(expected, before.directions, before.segments, segments)
     return ImageDirections(segments, find_directions(

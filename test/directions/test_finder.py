@@ -10,6 +10,7 @@ import pytest
 
 from plane_detector.config import Config, DirectionsConfig
 from plane_detector.directions.finder import CameraImage, DirectionFinder, find_in_image
+from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.evaluation.scenes.rooms import attic, hexagon_room, random_room
 from plane_detector.evaluation.scenes.textures import rolled_room, room_from_above, textured
 from plane_detector.types import CameraIntrinsics, Plane, Planes, PlaneSegmentation
@@ -73,6 +74,16 @@ def test_a_camera_that_looks_straight_down_is_found_at_any_azimuth():
             is_right = down @ scene.gravity_camera > np.cos(np.radians(5))
             right, wrong = right + is_right, wrong + (not is_right)
     assert (right >= 4, wrong) == (True, 0)
+
+
+@pytest.mark.parametrize(('seed', 'noise_per_m'), [(315, 0.0), (318, 0.0), (310, 0.008)])
+def test_a_floor_that_fills_the_image_is_not_surely_a_wall(seed, noise_per_m):
+    """Furniture lets the disparity grow downwards by chance."""
+    scene = textured(room_from_above, seed)
+    depth_m = with_disparity_noise(scene.depth_m, noise_per_m, np.random.default_rng([seed, 2]))
+    image = CameraImage(scene.rgb, scene.intrinsics, disparity=(1 / depth_m).astype(np.float32))
+    down = find_in_image(image).directions.gravity_camera
+    assert down is None or down @ scene.gravity_camera > np.cos(np.radians(5))
 
 
 def test_a_wall_ahead_with_a_floor_is_still_a_wall():
