@@ -57,7 +57,8 @@ UPRIGHT_TREND, TREND_SPREAD, ANY_TREND = 0.65, 0.25, 0.15
 # normal upright, or as from above anywhere between 0 and 1. measured: median 0.03, nine of ten
 # below 0.5 in 80 upright views of rooms, one at 0.84; 0.73 to 1 in 24 of rooms from above, 0.11 to
 # 0.55 in 6 of tables with things on them. tuned: rooms, seeds 300 to 323 and 2007, flat from 0.3
-# to 0.4 and from 0.05 to 0.1; at 0.25 walls ahead are lost.
+# to 0.4 and from 0.05 to 0.1; at 0.25 walls ahead are lost. A small share says nothing: cluttered
+# tables, streets between high buildings.
 AHEAD_DEG, AHEAD_SPREAD, ANY_AHEAD = 20.0, 0.35, 0.1
 # Each step is divided by three in the best cells that are not negligible (log of the posterior).
 # tuned: flat from 8 to 1000; at 5 a tenth more answers, and twice as many wrong ones.
@@ -199,8 +200,8 @@ def log_odds_down(disparity: np.ndarray, surface: np.ndarray | None = None) -> f
     known = np.zeros(0) if surface is None else surface[np.abs(surface).sum(axis=1) > 0, 2]
     if len(known):
         share = np.mean(np.abs(known) > math.cos(math.radians(AHEAD_DEG)))
-        odds -= math.log(2 * (1 - ANY_AHEAD) * _normal(share / AHEAD_SPREAD) / AHEAD_SPREAD
-                         + ANY_AHEAD)
+        odds -= min(math.log(2 * (1 - ANY_AHEAD) * _normal(share / AHEAD_SPREAD) / AHEAD_SPREAD
+                             + ANY_AHEAD), 0.0)
     return odds
 
 

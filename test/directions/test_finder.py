@@ -10,6 +10,7 @@ import pytest
 
 from plane_detector.config import Config, DirectionsConfig
 from plane_detector.directions.finder import CameraImage, DirectionFinder, find_in_image
+from plane_detector.directions.posterior import log_odds_down
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.evaluation.scenes.rooms import attic, hexagon_room, random_room
 from plane_detector.evaluation.scenes.textures import rolled_room, room_from_above, textured
@@ -84,6 +85,13 @@ def test_a_floor_that_fills_the_image_is_not_surely_a_wall(seed, noise_per_m):
     image = CameraImage(scene.rgb, scene.intrinsics, disparity=(1 / depth_m).astype(np.float32))
     down = find_in_image(image).directions.gravity_camera
     assert down is None or down @ scene.gravity_camera > np.cos(np.radians(5))
+
+
+def test_a_surface_ahead_is_evidence_for_looking_down_and_its_absence_is_none():
+    disparity = np.ones((48, 64), np.float32)
+    ahead, aside = np.tile([0.0, 0.0, 1.0], (9, 1)), np.tile([1.0, 0.0, 0.0], (9, 1))
+    assert log_odds_down(disparity, ahead) > 1
+    assert log_odds_down(disparity, aside) == log_odds_down(disparity) == 0
 
 
 def test_a_wall_ahead_with_a_floor_is_still_a_wall():
