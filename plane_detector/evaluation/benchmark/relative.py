@@ -6,12 +6,14 @@ Angles in relative disparity: true depth with the errors of a network, and raw o
 Depth of sensors and of rendered rooms becomes disparity with blurred borders, a smooth error that
 is a share of the disparity, and a random scale and shift. The shift is estimated from the image
 alone. The normals of regions that are one plane are compared with the true ones, and with those
-at the true shift, which shows what the shift adds to the error of the network.
+at the true shift, which shows what the shift adds to the error of the network; and so are those of
+the planes that the pipeline gives, which lines have rotated.
 """
 
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -21,6 +23,7 @@ import cv2
 import numpy as np
 
 from plane_detector.config import Config, ScaleConfig
+from plane_detector.depth.estimator import BLUR_INPUT_PX
 from plane_detector.depth.networks import NETWORKS
 from plane_detector.depth.observation import DepthFunction
 from plane_detector.evaluation.benchmark.report import add_shared, emit, table
@@ -32,6 +35,7 @@ from plane_detector.evaluation.benchmark.scale import (
 )
 from plane_detector.evaluation.datasets import Frame, frames
 from plane_detector.evaluation.metrics import angle_deg
+from plane_detector.evaluation.peers import plane_array
 from plane_detector.evaluation.reference_planes import judge_planes
 from plane_detector.evaluation.scenes import rooms
 from plane_detector.evaluation.scenes.rendering import Scene
@@ -50,6 +54,7 @@ MIN_PLANE_SHARE, PURE = 0.02, 0.85
 WRONG_DEG = 10.0
 REAL = ('kinect', 'nyu')
 DRAWS_PER_IMAGE = 2
+STATED_DEG = (0, 2, 4, 6, 8)  # borders of the rows of the calibration
 RAW, NOISE_SHARE = 'network_outputs', NETWORKS['depth_anything_v2_small'].noise_share
 
 
@@ -113,6 +118,22 @@ def angles(view: View, estimate: ScaleEstimate) -> Angles | None:
         estimate.angle_sigma_deg)))
 
 
+def published_deg(view: View) -> float:
+    """Return the mean error of the normals of the pipeline's planes, degrees; NaN if none."""
+    disparity, width = view.disparity, view.intrinsics.width
+    found = PlaneDetector(Config(), DepthFunction(
+        lambda rgb: disparity, 'relative_disparity', NOISE_SHARE, blur_px=2 * BLUR_SHARE * width)
+    ).detect(view.rgb, view.intrinsics)
+    planes = plane_array(found)
+    large = np.flatnonzero(found.planes.counts >= MIN_PLANE_SHARE * found.labels.size)
+    index = np.full(len(planes) + 1, -1)
+    index[large] = np.arange(len(large))
+    judged = judge_planes(index[found.labels], planes[large], view.true_depth_m, view.intrinsics,
+                          np.random.default_rng(0))
+    errors_deg = [one.normal_error_deg for one in judged if one.purity > PURE]
+    return float(np.mean(errors_deg)) if errors_deg else np.nan
+
+
 def views(name: str, data: Path, seeds: Sequence[int], share: float) -> Iterator[View]:
     """Yield the views of a set of real images, or of rendered rooms."""
     if name not in REAL:
@@ -127,21 +148,36 @@ def views(name: str, data: Path, seeds: Sequence[int], share: float) -> Iterator
 
 def report_simulated(data: Path, seeds: Sequence[int]) -> None:
     """Print the table of true depth made relative."""
-    rows = []
+    rows, every = [], []
     for name in (*REAL, 'rooms') if data.is_dir() else ('rooms',):
         for share in ERROR_SHARES:
-            asked, found = 0, []
+            asked, found, published = 0, [], []
             for view in views(name, data, seeds, share):
                 asked += 1
                 estimate = by_image_directions(view, ScaleConfig())
                 if estimate.has_true_angles:
                     found.append(angles(view, estimate))
-            rows.append([name, f'{share:.1%}', f'{len(found)} of {asked}',
-                         *_cells([one for one in found if one])])
+                    published.append(published_deg(view))
+            own = [one for one in found if one]
+            every += own
+            rows.append([name, f'{share:.1%}', f'{len(found)} of {asked}', *_cells(own),
+                         f'{np.nanmean([np.nan, *published]):.1f}'])
     emit('### True depth made relative, with smooth errors and blurred borders', table(
         ('images', 'smooth error', 'answered', 'normals (deg)', 'at the true shift',
          f'images above {WRONG_DEG:.0f} deg', 'by the shift, rms (deg)',
-         'of these over stated, rms', 'above two stated'), rows))
+         'of these over stated, rms', 'above two stated', 'planes of the pipeline (deg)'), rows))
+    emit('### Uncertainty of angles that is stated, and what the shift turns planes by', table(
+        ('stated (deg)', 'images', 'stated, rms', 'actual, rms', 'above two stated'),
+        [_calibration(every, *span) for span in itertools.pairwise(STATED_DEG)]))
+
+
+def _calibration(found: Sequence[Angles], low: float, high: float) -> list[str]:
+    turned, stated = np.array([[one.by_shift_deg, one.stated_deg] for one in found
+                               if low <= one.stated_deg < high]).reshape(-1, 2).T
+    if not len(turned):
+        return [f'{low} to {high}', '0', '-', '-', '-']
+    return [f'{low} to {high}', str(len(turned)), f'{np.sqrt(np.mean(stated**2)):.1f}',
+            f'{np.sqrt(np.mean(turned**2)):.1f}', f'{np.mean(turned > 2 * stated):.0%}']
 
 
 def _cells(found: Sequence[Angles]) -> list[str]:
@@ -167,7 +203,8 @@ def report_raw(data: Path) -> None:
         camera = CameraIntrinsics(*(about[key] for key in (
             'fx', 'fy', 'cx', 'cy', 'width', 'height')))
         detector = PlaneDetector(Config(), DepthFunction(
-            lambda rgb, values=values: values, about['output'], NOISE_SHARE))
+            lambda rgb, values=values: values, about['output'], NOISE_SHARE,
+            blur_px=BLUR_INPUT_PX * min(rgb.shape[:2]) / about['network_short_side']))
         found = detector.detect(rgb, camera)
         kinds = [PlaneClass(kind).name.lower() for kind in found.classes]
         counts = ', '.join(f'{kinds.count(kind)} {kind}' for kind in dict.fromkeys(kinds))
