@@ -75,7 +75,8 @@ def test_a_round_thing_alone_is_an_obstacle_and_drops_are_silent(radius_m, ahead
     found = detect(view, ball_m, height_m)
     assert found.ground_pixels.is_known and len(found.drops_m) == 0
     assert found.obstacles.sum() > 0.98 * np.isfinite(ball_m).sum()
-    assert 'seen' in found.drop_note
+    # A ball alone shows no noise and may be one flat piece: then the floor is uncertain.
+    assert 'seen' in found.drop_note or 'may be' in found.drop_note
     heights_m = found.heights_m[np.isfinite(ball_m)]
     assert np.isnan(heights_m).all() if not height_m else abs(heights_m.mean() - 0.6) < 0.05
 
