@@ -69,11 +69,6 @@ class Cells:
         return int(self.sums[0])
 
     @property
-    def hit_share(self) -> float:
-        """Share of the looks at these cells that were hits."""
-        return self.sums[3] / max(self.sums[4], 1)
-
-    @property
     def is_gone(self) -> bool:
         """Whether hardly any of the cells that were hit is left."""
         return self.count < max(_FEWEST, _LEFT_SHARE * self.sums[5])
