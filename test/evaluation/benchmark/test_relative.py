@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tests of the benchmark of relative disparity."""
 
+import needs_onnxruntime  # noqa: F401
 import numpy as np
 import pytest
 
