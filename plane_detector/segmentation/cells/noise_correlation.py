@@ -264,19 +264,21 @@ def _residuals(labels, planes, table, is_used):
 def _remove_bows(labels, residuals, table, count):
     """Subtract from the residuals of each region the quadric that fits them."""
     products, label, quadric = np.zeros((count, 7, 7)), labels.reshape(-1), np.empty((count, 7))
-    for is_fitted in (False, True):
-        for i in range(labels.size):
-            if np.isnan(residuals[i]):
-                continue
+    for i in range(labels.size):
+        if not np.isnan(residuals[i]):
             k, x, y = label[i], table[i, MEAN_X], table[i, MEAN_Y]
             terms = 1.0, x, y, x * x, x * y, y * y, residuals[i]
             for row in range(7):
-                for column in range(0 if is_fitted else 7):
+                for column in range(7):
                     products[k, row, column] += terms[row] * terms[column]
-                if is_fitted and row < 6:
-                    residuals[i] -= quadric[k, row] * terms[row]
-        for k in range(count):
-            solve_least_squares(products[k], 6, quadric[k])
+    for k in range(count):
+        solve_least_squares(products[k], 6, quadric[k])
+    for i in range(labels.size):
+        if not np.isnan(residuals[i]):
+            k, x, y = label[i], table[i, MEAN_X], table[i, MEAN_Y]
+            terms = 1.0, x, y, x * x, x * y, y * y
+            for row in range(6):
+                residuals[i] -= quadric[k, row] * terms[row]
 
 
 @kernel('float64[::1](int32[:, ::1], float64[::1], int64, int64)', is_short=True)
