@@ -236,7 +236,9 @@ class PlaneDetector:
         with timer('shapes'):
             # 4. Spheres, cylinders and cones where there is no plane, if requested.
             shapes, shape_labels = (), NO_SHAPE_LABELS
-            if config.shapes.wanted and scale.is_metric:
+            shape_note = ('shapes.types is none' if not config.shapes.wanted else
+                          '' if scale.is_metric else 'the unit of depth is not known')
+            if not shape_note:
                 planes, shapes, shape_labels = state.shapes.detect(
                     depth_m, planes, regions, seen.intrinsics, config)
         with timer('ground'):
@@ -260,7 +262,7 @@ class PlaneDetector:
                          systematic_noise=planes.systematic_noise, depth_m=depth_m,
                          scale_method=scale.unit_method, scale_note=str(scale),
                          scale_event=state.scale.event, shapes=shapes,
-                         shape_labels=shape_labels,
+                         shape_labels=shape_labels, shape_note=shape_note,
                          gravity_camera=around.gravity.gravity_camera,
                          gravity_source=around.gravity.source, gravity_note=around.gravity.note,
                          gravity_probability=around.gravity.probability,

@@ -416,6 +416,7 @@ class Detection(PlaneSegmentation):
     shapes: tuple[Shape, ...] = ()  # largest first
     # (H, W) int32, index into ``shapes``, -1 none; (0, 0) without shapes
     shape_labels: np.ndarray = field(default_factory=lambda: NO_SHAPE_LABELS)
+    shape_note: str = ''  # why there are no shapes; empty if they are searched for
     gravity_camera: np.ndarray | None = None  # (3,) float64, direction as used for the classes
     # Its name as given if measured (``imu``, ``tf``), ``parameter``, ``image`` or ``none``.
     gravity_source: str = 'none'

@@ -251,6 +251,8 @@ def _facts_of(detection: Detection) -> dict[str, str]:
             for ahead_m, height_m in zip(OBSTACLE_DISTANCES_M, smallest_m, strict=True))
     facts['drops'] = (f'not looked for: {detection.drop_note}' if detection.drop_note
                       else f'{len(detection.drops_m)} points')
+    facts['shapes'] = (f'not searched for: {detection.shape_note}' if detection.shape_note
+                       else str(len(detection.shapes)))
     return facts
 
 

@@ -294,7 +294,7 @@ def test_planes_are_found_while_the_loops_of_shapes_are_compiled(robot, room, mo
     assert robot.log().count('compiling the loops of shapes.types') == 1
     assert robot.diagnosis()[1]['shapes'] == 'their loops are being compiled'
     compiler.set()
-    assert robot.spin(lambda: 'shapes' not in robot.diagnosis()[1])
+    assert robot.spin(lambda: 'compiled' not in robot.diagnosis()[1]['shapes'])
     send(robot, room, 3.0)
     robot.wait_for('planes', 3)
     assert searched == [True]

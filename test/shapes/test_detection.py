@@ -12,6 +12,7 @@ import pytest
 
 from plane_detector import Config, PlaneDetector
 from plane_detector.config import DepthConfig, ShapesConfig
+from plane_detector.depth.observation import DepthFunction
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.evaluation.scenes.rendering import VGA, Rectangle, camera_rotation, render
 from plane_detector.evaluation.scenes.surfaces import bar, cone, ellipsoid, sheet
@@ -99,11 +100,20 @@ def test_nothing_is_searched_by_default_and_planes_are_the_same():
     scene = scene_with('ball')
     without = detect(scene, config=replace(CONFIG, shapes=ShapesConfig()))
     found = detect(scene)
-    assert without.shapes == ()
+    assert (without.shapes, without.shape_note) == ((), 'shapes.types is none')
+    assert found.shape_note == ''
     assert without.labels.max() == len(without.planes) - 1
     assert len(found.planes) == len(without.planes)
     on_plane = without.labels >= 0
     assert (found.labels[on_plane] == without.labels[on_plane]).mean() > 0.999
+
+
+def test_without_metres_it_is_said_that_nothing_is_searched():
+    scene, config = scene_with('ball'), replace(CONFIG, depth=DepthConfig())
+    disparity = 3.0 / scene.depth_m - 0.2
+    detector = PlaneDetector(config, DepthFunction(lambda rgb: disparity, 'relative_disparity'))
+    found = detector.detect(scene.rgb, scene.intrinsics)
+    assert (found.shapes, found.shape_note) == ((), 'the unit of depth is not known')
 
 
 def test_labels_are_stable_while_the_camera_moves():

@@ -219,13 +219,15 @@ def corners_to_msg(header: Header, outlines: Sequence[tuple[int, Polygon]]) -> P
     return cloud_msg(header, CORNER_DTYPE, table, 1, len(table))
 
 
-def shapes_to_msg(frame: DetectedFrame) -> PointCloud2:
+def shapes_to_msg(frame: DetectedFrame) -> PointCloud2 | None:
     """
-    Return one point per shape; without shapes an empty cloud.
+    Return one point per shape, an empty cloud if none is found; None if they are not searched for.
 
     x y z is the centre of a sphere, the middle of a cylinder's axis, the apex of a cone; the axis
     is a unit vector, of a cone from the apex into it, and zero for a sphere.
     """
+    if frame.detection.shape_note:
+        return None
     table = np.zeros(len(frame.shapes), SHAPE_DTYPE)
     for row, shape, label in zip(table, frame.shapes, shape_labels(frame.detection), strict=True):
         row['x'], row['y'], row['z'] = shape.position_m

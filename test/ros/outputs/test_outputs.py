@@ -240,6 +240,10 @@ def test_shapes(to_target):
     np.testing.assert_allclose(xyz(table, 'axis_'), [np.zeros(3), turned], atol=1e-6)
 
 
+def test_no_cloud_says_that_there_are_no_shapes_where_none_were_searched_for():
+    assert make('shapes', found=scene.detection(shape_note='shapes.types is none')) is None
+
+
 def test_the_pixels_of_each_shape_have_its_label():
     ball, = scene.detection().shapes
     shape_labels = scene.detection().shape_labels.copy()

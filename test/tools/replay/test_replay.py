@@ -35,7 +35,8 @@ from plane_detector.tools.replay.bag_reader import BagReader, to_message
 from plane_detector.tools.replay.inputs import input_class
 
 # Not written by default.
-MISSING = {'/plane_detector/points_without_floor', '/plane_detector/planes_json'}
+MISSING = {f'/plane_detector/{name}'
+           for name in ('points_without_floor', 'planes_json', 'shapes')}
 DIAGNOSTICS = '/diagnostics'
 
 
