@@ -349,7 +349,7 @@ OBSTACLE_DISTANCES_M = (1.0, 2.0, 3.0)
 class GroundPixels:
     """Where a robot may roll, what it must not hit, and where the ground ends."""
 
-    # Whether gravity and the unit are known; otherwise there is nothing of all this.
+    # Whether gravity and the unit are known and anything is seen; if not, all this is missing.
     is_known: bool = False
     # (H, W) bool, pixels that a robot may roll on, and lower levels; nowhere if the own floor is
     # not known.

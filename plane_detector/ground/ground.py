@@ -76,6 +76,8 @@ WAY_STEP = 0.01
 MIN_EDGE_M = 0.12
 # chosen: the floor is seen if at least this share of the pixels shows it.
 SEEN_SHARE = 0.003
+NOTHING_SEEN = 'nothing is seen'
+"""Beginning of the note if hardly any pixel has depth."""
 # The range of a sensor is the depth, or the distance, that hardly any pixel exceeds. Ends of the
 # ground are due to it if at least this share of them is there: an edge is so only if it is
 # straight across the view.
@@ -312,8 +314,11 @@ def find_ground(found: PlaneSegmentation, depth_m: np.ndarray, intrinsics: Camer
     pixels = SeenGround(depth_m, labels, ways, rays, intrinsics.fx, surfaces.table(),
                         np.zeros(len(found.planes) + 1, bool), -1, down32, limits,
                         float(found.disparity_noise), tells_drops=False)
+    if np.count_nonzero(valid_depth(depth_m[::8, ::8])) < SEEN_SHARE * depth_m[::8, ::8].size:
+        return Ground(classify_planes(found.planes, down), nothing, tilt_deg=tilt_deg, note=(
+            f'{NOTHING_SEEN}: hardly any pixel has a depth up to {config.depth.max_depth:g} m'))
     if own is None:
-        note = _unseen(depth_m, rays, surfaces, known_m, config.depth.max_depth)
+        note = _unseen(depth_m, rays, surfaces, known_m)
         return Ground(classify_planes(found.planes, down), pixels if is_metric else nothing,
                       tilt_deg=tilt_deg, note=note or 'no floor is seen')
     height_m = float(surfaces.heights()[own])
@@ -346,7 +351,7 @@ def find_ground(found: PlaneSegmentation, depth_m: np.ndarray, intrinsics: Camer
     if not doubt and error_m > LARGEST_ERROR_M:
         doubt = f'the floor {TOLD_AT_M:g} m away may be {error_m:.2f} m off'
     if not doubt and own == len(found.planes):
-        doubt = _unseen(depth_m, rays, surfaces, known_m, config.depth.max_depth)
+        doubt = _unseen(depth_m, rays, surfaces, known_m)
     pixels = replace(pixels, is_ground=joined | lower, own=own, tells_drops=not doubt)
     return Ground(classes, pixels, height_m, tilt_deg, _mounting(
         found, labels, ways, gravity, config, own), doubt)
@@ -383,15 +388,13 @@ def _mounting(found: PlaneSegmentation, labels: np.ndarray, ways: Ways, gravity:
 
 
 def _unseen(depth_m: np.ndarray, rays: tuple[np.ndarray, np.ndarray], surfaces: Surfaces,
-            height_m: float, max_depth_m: float) -> str:
+            height_m: float) -> str:
     """Return why the level so far below the camera (0: not known) is not seen; empty if it is."""
+    if not height_m:
+        return ''
     depths, down = depth_m[::8, ::8], surfaces.down
     below_m = depths * np.add.outer(rays[1][::8] * down[1] + down[2], rays[0][::8] * down[0])
     below_m, least = below_m[valid_depth(depths)], SEEN_SHARE * depths.size
-    if below_m.size < least:
-        return f'nothing is seen: hardly any pixel has a depth up to {max_depth_m:g} m'
-    if not height_m:
-        return ''
     if (abs(below_m - height_m) <= HEIGHT_TOLERANCE * height_m).sum() >= least:
         return ''
     note = f'the floor, {height_m:.2f} m below the camera, is not seen'

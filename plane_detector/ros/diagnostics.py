@@ -21,6 +21,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
+from plane_detector.ground.ground import NOTHING_SEEN
 from plane_detector.ros.outputs.frame import DetectedFrame
 from plane_detector.ros.outputs.markers import plane_name
 from plane_detector.ros.qos import overriding_options
@@ -266,10 +267,10 @@ def missing_for_classes(detection: Detection, wanted: Collection[str]) -> str:
         is_silent = detection.drop_note and DROPS in wanted
         return f'~/{DROPS} is silent: {detection.drop_note}' if is_silent else ''
     lost, is_relative = POINTS_WITHOUT_FLOOR in wanted, detection.scale_method == RELATIVE
-    if any(detection.classes):  # gravity is known, the unit is not
-        return (f'~/{POINTS_WITHOUT_FLOOR} is silent: the unit of depth is not known '
-                f'({detection.scale_note})' if lost else '')
     silent = f'~/{POINTS_WITHOUT_FLOOR} is silent'
+    if any(detection.classes) or detection.drop_note.startswith(NOTHING_SEEN):
+        why = f' ({detection.scale_note})' if is_relative else ''
+        return f'{silent}: {detection.drop_note}{why}' if lost else ''
     if detection.planes:
         silent = 'planes have no class' + (f', and {silent}' if lost else '')
     elif not lost:

@@ -154,6 +154,7 @@ def test_drops_are_silent_where_nothing_or_nonsense_is_seen(name):
     view = seen(course(boxes=[(0.3, 2.0, (0.3, 0.3, 0.4))]), 0.6, 20)
     found = detect(view, change(view.depth_m), height_m)
     assert note in found.drop_note and len(found.drops_m) == 0
+    assert found.ground_pixels.is_known == ('nothing is seen' not in note)
 
 
 @pytest.mark.parametrize('height_m', [0.0, 0.6])

@@ -44,7 +44,10 @@ def detection(classes, scale='metric', planes=2, gravity_note='', shape=(480, 64
     (detection((0, 0), gravity_note='only 3 straight lines'), (), 'not known (only 3 straight'),
     (detection((0, 0), 'relative'), ('planes',), 'neither metres nor gravity'),
     (detection((1, 0), 'relative'), ('planes',), ''),
-    (detection((1, 0), 'relative'), (POINTS_WITHOUT_FLOOR,), 'unit of depth is not known (why)')])
+    (detection((), planes=0, note='nothing is seen: no depth'), (POINTS_WITHOUT_FLOOR,),
+     'points_without_floor is silent: nothing is seen'),
+    (detection((1, 0), 'relative', note='the unit of depth is not known'),
+     (POINTS_WITHOUT_FLOOR,), 'unit of depth is not known (why)')])
 def test_gaps(found, wanted, expected):
     gap = missing_for_classes(found, wanted)
     assert expected in gap
