@@ -98,20 +98,40 @@ def _frequent_values(depth_m: np.ndarray) -> np.ndarray:
         return np.empty(0, depth_m.dtype)
     values, counts = np.unique(places[is_equal], return_counts=True)
     values, counts = values[counts >= least], counts[counts >= least]
-    if len(values) < 2:  # the most frequent one stays
+    if not values.size:
         return values
     # In quantised depth there may be dozens, and most places beside theirs have the next step.
-    border, attached = np.zeros(len(values)), np.zeros(len(values))
-    index = np.minimum(np.searchsorted(values, places), len(values) - 1)
-    for here, there in ((np.s_[:, 1:], np.s_[:, :-1]), (np.s_[:, :-1], np.s_[:, 1:]),
-                        (np.s_[1:], np.s_[:-1]), (np.s_[:-1], np.s_[1:])):
-        one, other = places[here], places[there]
-        is_border = (one == values[index[here]]) & (other != one) & np.isfinite(other)
-        one, other, at = one[is_border], other[is_border], index[here][is_border]
-        near = np.abs(other - one) <= MIN_JUMP * one
-        border += np.bincount(at, minlength=len(values))
-        attached += np.bincount(at[near], minlength=len(values))
-    return values[(attached <= 2 * MAX_ATTACHED_SHARE * border) | (counts == counts.max())]
+    border, attached = _count_borders(np.ascontiguousarray(places), values)
+    is_kept, most = attached <= 2 * MAX_ATTACHED_SHARE * border, counts.argmax()
+    is_kept[most] = is_kept[most] or not _is_one_of_many(depth_m, values[most])
+    return values[is_kept]
+
+
+@kernel("UniTuple(int64[::1], 2)(Array(float32, 2, 'C', readonly=True), float32[::1])",
+        is_short=True)
+def _count_borders(places, values):
+    """
+    Return how many places with another depth are beside those of each value, and how many near.
+
+    Only beside places in a piece: a noisy wall at the same depth takes the value here and there.
+    """
+    border, attached = np.zeros(len(values), np.int64), np.zeros(len(values), np.int64)
+    for row in range(places.shape[0]):
+        for column in range(places.shape[1]):
+            here, equal, other, near = places[row, column], 0, 0, 0
+            k = np.searchsorted(values, here)
+            if k == len(values) or values[k] != here:
+                continue
+            for side in range(4):
+                r, c = row + (side == 0) - (side == 1), column + (side == 2) - (side == 3)
+                if 0 <= r < places.shape[0] and 0 <= c < places.shape[1]:
+                    there = places[r, c]
+                    equal += there == here
+                    other += there != here and abs(there) < np.inf
+                    near += there != here and abs(there - here) <= np.float32(MIN_JUMP) * here
+            border[k] += other * (equal > 1)
+            attached[k] += near * (equal > 1)
+    return border, attached
 
 
 def _unmeasured(depth_m: np.ndarray, value: float) -> np.ndarray:
