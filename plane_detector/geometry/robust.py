@@ -57,24 +57,24 @@ def _bucket_of(values, rank):
     while len(kept) > 48:
         low, high, is_finite = kept[0], kept[0], True
         for value in kept:
-            low, high = min(low, value), max(high, value)
+            low, high = value if value < low else low, value if value > high else high
             is_finite &= abs(value) < np.inf
         if not (is_finite and TINY_RANGE < high - low < np.inf):
             break  # the caller sorts all of them; NaN and infinity have no bucket
-        counts = np.zeros(1024, np.int64)
+        counts = np.zeros(512, np.int32)
         per = (len(counts) - 1) / (high - low)
         for value in kept:
-            counts[int((value - low) * per)] += 1
+            counts[np.uint32(np.int32((value - low) * per))] += 1  # no wrap-around check
         place = 0
         while rank >= counts[place]:
             rank -= counts[place]
             place += 1
         part, n = np.empty(counts[place] + 1), 0
         for value in kept:
-            bucket = int((value - low) * per)
             part[n] = value
-            n += bucket == place
-            below = max(below, value) if bucket < place else below
+            n += np.int32((value - low) * per) == place
+        for value in kept if rank == 0 else kept[:0]:
+            below = max(below, value) if np.int32((value - low) * per) < place else below
         kept = part[:n]
     return kept, rank, below
 

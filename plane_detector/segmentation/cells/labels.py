@@ -37,7 +37,7 @@ def _renamed(labels, names):
 
 def at_borders(labels: np.ndarray, reach: int) -> np.ndarray:
     """Return which labels (H, W) int32 have another so near in rows and columns, (H, W) bool."""
-    square, values = np.ones((2 * reach + 1,) * 2, np.uint8), labels.astype(np.float32)
+    square, values = np.ones((2 * reach + 1,) * 2, np.uint8), labels.astype(np.int16)
     return cv2.dilate(values, square) != cv2.erode(values, square)
 
 

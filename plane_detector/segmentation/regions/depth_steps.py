@@ -60,7 +60,7 @@ def split_at_depth_steps(frame: Frame, regions: PlaneRegions,
     candidates = np.flatnonzero(is_candidate)
     for k in candidates[np.argsort(-blocks[candidates], kind='stable')]:
         new = len(regions.coefficients)
-        labels = _with_piece(regions.labels, runs[runs[:, PIECE] == k], label[k], new)
+        labels = _with_piece(regions.labels, runs, k, (label[k], new))
         if prefer_two_planes(cells, labels, correlation, label[k], new):
             regions = fit_regions(cells, labels, new + 1)
     return regions
@@ -208,23 +208,22 @@ def _offsets(label: np.ndarray, blocks: np.ndarray, mean: np.ndarray) -> np.ndar
     return np.abs(mean - mean[largest[label]])
 
 
-def _with_piece(labels: np.ndarray, runs: np.ndarray, label: int, new: int) -> np.ndarray:
-    """Return labels, ``new`` in the cells that a piece and half the step around it half fill."""
-    found, (top, left), (bottom, right) = labels.copy(), runs[:, :2].min(0), runs[:, [0, 2]].max(0)
-    rows, columns = (slice(max(first // BLOCKS - 1, 0), last // BLOCKS + 2)
-                     for first, last in ((top, bottom), (left, right)))
-    here = found[rows, columns]
-    mask = np.zeros((BLOCKS * here.shape[0], BLOCKS * here.shape[1]), np.uint8)
-    _draw(mask, runs, (BLOCKS * rows.start, BLOCKS * columns.start))
-    filled = cv2.dilate(mask, np.ones((BLOCKS + 1, BLOCKS + 1), np.uint8))
-    share = cv2.resize(filled, here.shape[::-1], interpolation=cv2.INTER_AREA)
-    here[(here == label) & (share >= 128)] = new
-    return found
-
-
-@kernel('void(uint8[:, ::1], int32[:, ::1], UniTuple(int64, 2))', is_short=True)
-def _draw(mask, runs, corner):
-    """Write 255 where the runs are, in a part of the blocks."""
+@kernel('int32[:, ::1](int32[:, ::1], int32[:, ::1], int64, UniTuple(int64, 2))', is_short=True)
+def _with_piece(labels, runs, piece, names):
+    """Return labels, the second name in cells that a piece and half the step around half fill."""
+    found, (rows, columns), reach = labels.copy(), labels.shape, BLOCKS // 2
+    is_filled = np.zeros((rows * BLOCKS, columns * BLOCKS), np.bool_)
+    count = np.zeros(labels.shape, np.int32)
     for run in range(len(runs)):
-        for column in range(runs[run, 1], runs[run, 2]):
-            mask[runs[run, 0] - corner[0], column - corner[1]] = 255
+        if runs[run, PIECE] != piece:
+            continue
+        row, first, end = runs[run, 0], runs[run, 1], runs[run, 2]
+        for v in range(max(row - reach, 0), min(row + reach + 1, len(is_filled))):
+            for u in range(max(first - reach, 0), min(end + reach, columns * BLOCKS)):
+                count[v // BLOCKS, u // BLOCKS] += not is_filled[v, u]
+                is_filled[v, u] = True
+    for row in range(rows):
+        for column in range(columns):
+            if labels[row, column] == names[0] and 2 * count[row, column] >= BLOCKS**2:
+                found[row, column] = names[1]
+    return found

@@ -140,9 +140,11 @@ def merge_coplanar(cells: WeightedCells, graph: RegionGraph,
         Planes refitted to all their cells.
 
     """
+    unshared = correlation and correlation.density / correlation.bending**UNSHARED_POWER
+
     def is_apart(graph: RegionGraph, i: int, j: int) -> bool:
         if graph.borders[i, j, 0] == 0 and (
-                (correlation is not None and _folds(graph, i, j, correlation))
+                (correlation and _folds(graph.planes, graph.sums, graph.lens, (i, j), unshared))
                 or not _is_hidden_between(graph.labels, cells.table, cells.is_planar, graph.sums,
                                           (i, j))):
             return True
@@ -154,24 +156,30 @@ def merge_coplanar(cells: WeightedCells, graph: RegionGraph,
     return graph.without_merged()
 
 
-def _folds(graph: RegionGraph, i: int, j: int, correlation: Correlation) -> bool:
+@kernel('boolean(float64[:, ::1], float64[:, ::1], float64[::1], UniTuple(int64, 2), float64)',
+        is_short=True)
+def _folds(planes, sums, lens, pair, density):
     """Return whether the angle between two planes is larger than that of pieces of one plane."""
-    normals, variance = [], 0.0
-    density = correlation.density / correlation.bending**UNSHARED_POWER
-    for k in (i, j):
-        normal, sums = np.array(normal_of(*graph.planes[k], graph.lens)), graph.sums[k].tolist()
-        x, y = sums[X] / sums[N], sums[Y] / sums[N]
+    variance, dot, square, normals = 0.0, 0.0, 1.0, np.empty((2, 3))
+    for side in range(2):
+        k, of_normal = pair[side], 0.0
+        normal = normal_of(planes[k, 0], planes[k, 1], planes[k, 2], lens)
+        for axis in range(3):
+            normals[side, axis] = normal[axis]
+            of_normal += normal[axis] * normal[axis]
+        x, y = sums[k, X] / sums[k, N], sums[k, Y] / sums[k, N]
         # The slope of a plane has the variance of its means over the spread of its cells, which
         # is least across a narrow region.
-        xx, xy = sums[XX] / sums[N] - x * x, sums[XY] / sums[N] - x * y
-        yy = sums[YY] / sums[N] - y * y
+        xx, xy = sums[k, XX] / sums[k, N] - x * x, sums[k, XY] / sums[k, N] - x * y
+        yy = sums[k, YY] / sums[k, N] - y * y
         narrow = (xx + yy) / 2 - math.hypot((xx - yy) / 2, xy)
-        slope2 = density / (sums[N] * max(narrow, MIN_VARIANCE))
-        square = float(normal @ normal)
-        variance += slope2 * float(graph.lens[0]) ** 2 / square
-        normals.append(normal / math.sqrt(square))
-    fold_deg = math.degrees(math.acos(min(max(float(normals[0] @ normals[1]), -1.0), 1.0)))
-    return fold_deg > max(MAX_HIDDEN_FOLD_DEG, FOLD_DEVIATIONS * math.degrees(variance**0.5))
+        slope2 = density / (sums[k, N] * max(narrow, MIN_VARIANCE))
+        variance += slope2 * lens[0] ** 2 / of_normal
+        square *= of_normal
+    for axis in range(3):
+        dot += normals[0, axis] * normals[1, axis]
+    fold_deg = math.degrees(math.acos(min(max(dot / math.sqrt(square), -1.0), 1.0)))
+    return fold_deg > max(MAX_HIDDEN_FOLD_DEG, FOLD_DEVIATIONS * math.degrees(math.sqrt(variance)))
 
 
 def merge_bowed_walls(graph: RegionGraph) -> RegionGraph:
