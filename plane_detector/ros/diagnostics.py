@@ -24,7 +24,7 @@ from rclpy.node import Node
 from plane_detector.ground.ground import NOTHING_SEEN
 from plane_detector.ros.outputs.frame import DetectedFrame
 from plane_detector.ros.outputs.markers import plane_name
-from plane_detector.ros.qos import overriding_options
+from plane_detector.ros.qos import SILENT_PUBLISHER, overriding_options
 from plane_detector.scale.estimate import RELATIVE
 from plane_detector.types import OBSTACLE_DISTANCES_M, Detection
 
@@ -316,6 +316,7 @@ class DiagnosticsPublisher:
         self._statistics = statistics
         self._describe = describe
         self._publisher = node.create_publisher(DiagnosticArray, '/diagnostics', 10,
+                                                event_callbacks=SILENT_PUBLISHER,
                                                 qos_overriding_options=overriding_options())
         self._timer = node.create_timer(_PERIOD_S, self._publish,
                                         clock=Clock(clock_type=ClockType.STEADY_TIME))

@@ -33,9 +33,11 @@ class PointQuery:
         self._faults = FaultLog(node.get_logger(), 'clicked point')
         self._publisher = node.create_lifecycle_publisher(
             PoseStamped, '~/clicked_plane', qos.output_profile(),
+            event_callbacks=qos.SILENT_PUBLISHER,
             qos_overriding_options=qos.overriding_options())
         self._subscription = node.create_subscription(
             PointStamped, 'clicked_point', self._on_click, 10,
+            event_callbacks=qos.SILENT_SUBSCRIPTION,
             qos_overriding_options=qos.overriding_options())
 
     @property

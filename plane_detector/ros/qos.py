@@ -7,8 +7,16 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from rcl_interfaces.msg import SetParametersResult
+from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.qos import DurabilityPolicy, QoSPolicyKind, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
+
+SILENT_PUBLISHER = PublisherEventCallbacks(use_default_callbacks=False)
+SILENT_SUBSCRIPTION = SubscriptionEventCallbacks(use_default_callbacks=False)
+"""
+Endpoints without events: the executor would look at two of each endpoint before every message, as
+long as at all its other entities. `OutputPublishers.misfits` finds what they would report.
+"""
 
 
 def overriding_options(settle: Callable[[QoSProfile], SetParametersResult] | None = None

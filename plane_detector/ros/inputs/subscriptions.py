@@ -13,7 +13,6 @@ from typing import Any, Protocol
 
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.callback_groups import ReentrantCallbackGroup
-from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
@@ -34,7 +33,7 @@ from plane_detector.ros.inputs.topic_watch import (
     TopicWatch,
 )
 from plane_detector.ros.inputs.transforms import FrameTransforms
-from plane_detector.ros.qos import overriding_options
+from plane_detector.ros.qos import SILENT_SUBSCRIPTION, overriding_options
 
 _RELIABILITY = {'auto': ReliabilityPolicy.BEST_AVAILABLE,
                 'reliable': ReliabilityPolicy.RELIABLE,
@@ -91,10 +90,8 @@ class InputSubscription:
             self._next = self._subscribe(self._on_first_of_next)
 
     def _subscribe(self, callback: Callable[..., None]) -> Subscription:
-        # The executor would look at each event before every message: a quarter of its time.
-        silent = SubscriptionEventCallbacks(use_default_callbacks=False)
         return self._node.create_subscription(
-            *self._arguments, callback, copy(self._wanted), event_callbacks=silent,
+            *self._arguments, callback, copy(self._wanted), event_callbacks=SILENT_SUBSCRIPTION,
             callback_group=ReentrantCallbackGroup(),
             qos_overriding_options=overriding_options(self._settle))
 

@@ -4,9 +4,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from copy import copy
-from itertools import chain
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -26,6 +25,9 @@ _LINE_WIDTH = 0.006
 # derived: lines in the surface of the points flicker; lifted by this share of the distance towards
 # the camera, they are in front of it and look the same from there.
 _LIFTED_BY = 0.01
+# chosen: parts and holes below this share of a plane's largest outline in the image are not drawn:
+# half of all outlines, with a sixth of the corners; ~/boundaries has them.
+_SMALLEST_OUTLINE = 0.02
 # Of captions: legible on every colour; viewers add a dark box.
 _WHITE = ColorRGBA(r=1.0, g=1.0, b=1.0, a=1.0)
 _SURFACE_ALPHA = 0.6
@@ -66,12 +68,14 @@ def _plane_markers(frame: DetectedFrame, blank: Marker) -> Iterator[Marker]:
         np.hstack([planes.centroids_m, tips_m]).reshape(-1, 3)))
     captions = _captions(frame)
     middles = messages.point_msgs(frame.placed(captions.positions_m))
-    for k, (label, sides) in enumerate(zip(planes.labels.tolist(), _sides(frame), strict=True)):
+    for k, (label, corners) in enumerate(zip(planes.labels.tolist(), _outlines(frame),
+                                             strict=True)):
         colour = _colour(frame, label)
-        if sides:  # none if the plane is too narrow
-            # A strip for each outline has half the points, but a marker costs as much as 25.
-            yield _marker(blank, ns='outline', id=label, type=Marker.LINE_LIST, color=colour,
-                          scale=Vector3(x=widths_m[k]), points=sides)
+        if corners:  # none if the plane is too narrow
+            # One marker for a plane, as a marker costs as much as 25 corners.
+            kind = Marker.LINE_STRIP if len(corners) == 1 else Marker.LINE_LIST
+            yield _marker(blank, ns='outline', id=label, type=kind, color=colour,
+                          scale=Vector3(x=widths_m[k]), points=_sides(corners))
         yield _marker(blank, ns='normal', id=label, type=Marker.ARROW, color=colour,
                       scale=Vector3(x=widths_m[k], y=3 * widths_m[k]),
                       points=arrows[2 * k:2 * k + 2])
@@ -80,19 +84,36 @@ def _plane_markers(frame: DetectedFrame, blank: Marker) -> Iterator[Marker]:
                       pose=Pose(position=middles[k]))
 
 
-def _sides(frame: DetectedFrame) -> list[list[Point]]:
-    """Return the ends of all sides of the outlines of each plane, lifted from it."""
-    corners_m = [polygon.corners_m for of_plane in frame.camera_polygons for polygon in of_plane]
-    corners = messages.point_msgs(frame.placed(
-        (1 - _LIFTED_BY) * np.concatenate([np.zeros((0, 3)), *corners_m])))
-    sides, first = [], 0
+def _outlines(frame: DetectedFrame) -> list[list[list[Point]]]:
+    """Return the corners of the outlines of each plane that are large enough, lifted from it."""
+    counts = np.array([len(polygon.corners_m) for of_plane in frame.camera_polygons
+                       for polygon in of_plane], np.int64)
+    corners_m = np.concatenate([np.zeros((0, 3)), *(
+        polygon.corners_m for of_plane in frame.camera_polygons for polygon in of_plane)])
+    last = counts.cumsum() - 1
+    after = np.arange(1, len(corners_m) + 1)
+    after[last] = last + 1 - counts
+    x, y = corners_m[:, :2].T / corners_m[:, 2]
+    areas = abs(np.diff((x * y[after] - x[after] * y).cumsum()[last], prepend=0)).tolist()
+    corners = messages.point_msgs(frame.placed((1 - _LIFTED_BY) * corners_m))
+    found, index, first = [], 0, 0
     for of_plane in frame.camera_polygons:
-        sides.append([])
+        found.append([])
+        smallest = _SMALLEST_OUTLINE * max(areas[index:index + len(of_plane)], default=0.0)
         for polygon in of_plane:
-            around = corners[first:first + len(polygon.corners_m)]
-            first += len(around)
-            sides[-1] += chain.from_iterable(zip([around[-1], *around[:-1]], around, strict=True))
-    return sides
+            last = first + len(polygon.corners_m)
+            if areas[index] >= smallest:
+                found[-1].append(corners[first:last])
+            index, first = index + 1, last
+    return found
+
+
+def _sides(outlines: Sequence[Sequence[Point]]) -> list[Point]:
+    """Return the corners of one closed outline, or the ends of all sides of several."""
+    if len(outlines) == 1:
+        return [*outlines[0], outlines[0][0]]
+    return [end for corners in outlines
+            for side in zip([corners[-1], *corners[:-1]], corners, strict=True) for end in side]
 
 
 def _shape_markers(frame: DetectedFrame, blank: Marker) -> Iterator[Marker]:

@@ -14,6 +14,10 @@ from plane_detector.ros.inputs.synchronizer import stamp_text
 from plane_detector.ros.outputs.messages import read_cloud
 
 _DIGITS = 4  # a tenth of a millimetre
+# By name in JSON: fields of ~/planes.
+_FIELDS = {'normal': ('normal_x', 'normal_y', 'normal_z'), 'centroid': ('x', 'y', 'z'),
+           'd': ('d',), 'width': ('rect_width',), 'height': ('rect_height',), 'area': ('area',),
+           'rms': ('rms',), 'confidence': ('confidence',)}
 _LENGTHS = ('d', 'centroid', 'width', 'height', 'rms')
 
 
@@ -29,20 +33,15 @@ def planes_to_json(msg: PointCloud2, is_metric: bool = True) -> str:
         'stamp': stamp_text(msg), 'frame_id': msg.header.frame_id,
         'units': {**dict.fromkeys(_LENGTHS, length), 'area': 'm^2' if is_metric else None,
                   'num_inliers': 'px'},
-        'planes': [_as_dict(row) for row in (read_cloud(msg).ravel() if msg.height else ())]})
+        'planes': _as_dicts(read_cloud(msg).ravel()) if msg.height else []})
 
 
-def _as_dict(row: np.void) -> dict[str, object]:
-    """Return a row of ``~/planes`` with plain values."""
-    vectors = {'normal': ('normal_x', 'normal_y', 'normal_z'), 'centroid': ('x', 'y', 'z')}
-    numbers = {'d': 'd', 'width': 'rect_width', 'height': 'rect_height', 'area': 'area',
-               'rms': 'rms', 'confidence': 'confidence'}
-    return {'label': int(row['label']), 'class': PlaneClass(row['class']).readable,
-            **{name: [_rounded(row[field]) for field in fields]
-               for name, fields in vectors.items()},
-            **{name: _rounded(row[field]) for name, field in numbers.items()},
-            'num_inliers': int(row['num_inliers'])}
-
-
-def _rounded(value: float) -> float:
-    return round(float(value), _DIGITS)
+def _as_dicts(table: np.ndarray) -> list[dict[str, object]]:
+    """Return the rows of ``~/planes`` with plain values."""
+    column = {name: table[name].tolist() for name in table.dtype.names}
+    rounded = {name: [round(value, _DIGITS) for value in column[name]]
+               for names in _FIELDS.values() for name in names}
+    return [{'label': column['label'][k], 'class': PlaneClass(column['class'][k]).readable,
+             **{name: [rounded[field][k] for field in fields] if len(fields) > 1
+                else rounded[fields[0]][k] for name, fields in _FIELDS.items()},
+             'num_inliers': column['num_inliers'][k]} for k in range(len(table))]

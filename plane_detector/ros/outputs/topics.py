@@ -12,7 +12,6 @@ from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 from geometry_msgs.msg import PoseArray
-from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.lifecycle import LifecycleNode
 from rclpy.qos import QoSCompatibility, qos_check_compatible
 from rclpy.topic_endpoint_info import TopicEndpointInfo
@@ -112,15 +111,12 @@ class OutputPublishers:
 
     def __init__(self, node: LifecycleNode, outputs: Mapping[str, Output], latched: bool = False):
         self._node = node
-        # The executor would look at two events of each publisher before every message: as long as
-        # at all its other entities. `misfits` finds what they would report.
-        silent = PublisherEventCallbacks(use_default_callbacks=False)
         self._publishers: dict[str, Any] = {}
         try:
             for name, output in outputs.items():
                 self._publishers[name] = node.create_lifecycle_publisher(
                     output.msg_type, f'~/{name}', qos.output_profile(latched),
-                    event_callbacks=silent,
+                    event_callbacks=qos.SILENT_PUBLISHER,
                     qos_overriding_options=qos.overriding_options())
         except Exception:  # a wrong qos_overrides parameter
             self.destroy()

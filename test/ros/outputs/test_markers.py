@@ -37,8 +37,19 @@ def at(marker):
     return np.array([marker.pose.position.x, marker.pose.position.y, marker.pose.position.z])
 
 
+def test_one_outline_is_a_closed_strip_without_tiny_parts_and_holes():
+    labels = np.full((72, 110), scene.NOTHING)
+    labels[5:60, 5:90], labels[65:70, 95:100] = scene.WALL, scene.WALL
+    labels[30:36, 40:46] = scene.FLOOR
+    marker = shown('outline', found=scene.detection(labels=labels, shapes=()))[7]
+    pixels = in_camera(marker.points, None)
+    pixels = pixels[:, :2] / pixels[:, 2:] * (80.0, 95.0) + (30.5, 45.25)
+    assert marker.type == Marker.LINE_STRIP
+    np.testing.assert_allclose(pixels, [(5, 5), (5, 59), (89, 59), (89, 5), (5, 5)], atol=1e-6)
+
+
 @BOTH_FRAMES
-def test_all_outlines_of_a_plane_are_drawn_in_front_of_it(to_target):
+def test_large_outlines_of_a_plane_are_drawn_in_front_of_it(to_target):
     outlines = shown('outline', to_target)
     assert set(outlines) == {7, 3}
     for label, index in ((7, scene.WALL), (3, scene.FLOOR)):
