@@ -100,7 +100,7 @@ class FrameProcessor:
                 pose, to_target, problem = transforms()
             # 3. Gravity and lines, then planes.
             around = self.detector.find_directions(seen, *measured_gravity(frame, pose))
-            found = self.detector.find_planes(seen, around, height_m(pose))
+            found = self.detector.find_planes(seen, around, pose and pose.height_m)
             result = DetectedFrame(
                 found, seen.intrinsics, to_target, seen.stamp_s, header=frame.image.header,
                 rgb=seen.rgb, settings=settings, pose_problem=problem,
@@ -131,8 +131,3 @@ def measured_gravity(frame: Frame, pose: CameraPose | None) -> tuple[np.ndarray 
     if frame.gravity_camera is not None or pose is None:
         return frame.gravity_camera, 'imu'
     return pose.gravity_camera, 'tf'
-
-
-def height_m(pose: CameraPose | None) -> float | None:
-    """Return the height of the camera from TF; None if the camera is below the base frame."""
-    return pose.height_m if pose is not None and pose.height_m > 0 else None

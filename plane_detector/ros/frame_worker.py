@@ -11,10 +11,9 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 from queue import Queue
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 from rclpy.task import Future
 from std_srvs.srv import Trigger
@@ -30,15 +29,14 @@ from plane_detector.ros.outputs.topics import OutputPublishers
 from plane_detector.ros.point_query import PointQuery
 from plane_detector.stopping import Background, Stop, Stopped, current_stop, raise_if_stopped
 
-Result = TypeVar('Result')
+Result, Item = TypeVar('Result'), TypeVar('Item')
 ANSWERED_WITHIN_S = 30.0
 """A call without a frame is answered after this time."""
 MOST_CALLS = 16
 """More calls than this do not wait, as each takes time of the executor."""
-_REMEMBERED = 8
 
 
-class FrameWorker:
+class FrameWorker(Generic[Item]):
     """
     Processes frames in order; one more may wait, and a newer one replaces it.
 
@@ -48,16 +46,16 @@ class FrameWorker:
     begun. It is worth it only if beginning takes long: two threads of Python wait for each other.
     """
 
-    def __init__(self, begin: Callable[[Frame], Callable[[], None]], overlaps: bool):
+    def __init__(self, begin: Callable[[Item], Callable[[], None]], overlaps: bool):
         self._begin, self._overlaps = begin, overlaps
         self._changed = threading.Condition()
-        self._waiting: Frame | None = None
+        self._waiting: Item | None = None
         self._stops: tuple[Stop, ...] = ()
         self._ended = False
         self._begun: Queue[Callable[[], object] | None] = Queue()
         self._thread = Background(self._run, 'frame_worker')
 
-    def put(self, frame: Frame) -> bool:
+    def put(self, frame: Item) -> bool:
         """Set the next frame; return whether it replaced one that was waiting."""
         with self._changed:
             replaced, self._waiting = self._waiting is not None, frame
@@ -109,7 +107,7 @@ class FrameWorker:
             del finish
             self._begun.task_done()
 
-    def _take(self) -> Frame | None:
+    def _take(self) -> Item | None:
         """Wait for the next frame; None at the end."""
         with self._changed:
             self._changed.wait_for(lambda: self._ended or self._waiting is not None)
@@ -128,9 +126,8 @@ def _under(stop: Stop, work: Callable[[], Result]) -> Result | None:
         return None
 
 
-@dataclass(frozen=True)
-class _Call:
-    after: int
+class _Call(NamedTuple):
+    after: int  # number of frames accepted before it
     until_s: float
     future: Future
 
@@ -146,43 +143,39 @@ class FrameRequests:
         self._wake, self._clock = wake, clock
         self._lock = threading.Lock()
         self._calls: list[_Call] = []
-        self._accepted: list[Any] = []
         self._count = 0
 
     @property
     def are_waiting(self) -> bool:
         """Whether there is a call for which no frame has been accepted yet."""
         with self._lock:
-            return any(call.after == self._count for call in self._calls)
+            return bool(self._calls) and self._calls[-1].after == self._count
 
     def add(self) -> Future:
         """Request the next frame; the future's result is (True, its result) or (False, why)."""
-        call = _Call(self._count, self._clock() + ANSWERED_WITHIN_S, Future())
+        future = Future()
         with self._lock:
             if len(self._calls) < MOST_CALLS:
-                self._calls.append(call)
-                return call.future
-        call.future.set_result((False, f'{MOST_CALLS} calls are waiting for a frame already'))
-        return call.future
+                self._calls.append(_Call(self._count, self._clock() + ANSWERED_WITHIN_S, future))
+                return future
+        future.set_result((False, f'{MOST_CALLS} calls are waiting for a frame already'))
+        return future
 
-    def accept(self, frame: Any) -> None:
-        """Note that a frame goes to the worker; it, or a newer one, answers all calls so far."""
+    def accept(self) -> int:
+        """Return the number of a frame for the worker; it, or a later one, answers all so far."""
         with self._lock:
             self._count += 1
-            if self._calls:  # otherwise nobody asks for its number, and frames take memory
-                self._accepted = [*self._accepted, (frame, self._count)][-_REMEMBERED:]
+            return self._count
 
-    def finish(self, frame: Any, success: bool, answer: Any) -> None:
-        """Answer the calls for which this frame, or an earlier one, was accepted."""
-        with self._lock:
-            number = next((n for other, n in self._accepted if other is frame), 0)
+    def finish(self, number: int, success: bool, answer: Any) -> None:
+        """Answer the calls for which the frame of this number, or an earlier one, was accepted."""
         self._answer(lambda call: call.after < number, success, answer)
 
     def expire(self, obstacle: str) -> None:
         """Answer the calls that have waited too long, or all if it is known why no frame comes."""
         now_s = self._clock()
         if obstacle:
-            self._answer(lambda _: True, False, f'no frame: {obstacle}')
+            self.refuse_all(f'no frame: {obstacle}')
         self._answer(lambda call: call.until_s <= now_s, False,
                      f'no frame within {ANSWERED_WITHIN_S:.0f} s')
 
@@ -191,11 +184,11 @@ class FrameRequests:
         self._answer(lambda _: True, False, reason)
 
     def _answer(self, is_due: Callable[[_Call], bool], success: bool, answer: Any) -> None:
+        if not self._calls:
+            return
         with self._lock:
             due = [call for call in self._calls if is_due(call)]
             self._calls = [call for call in self._calls if not is_due(call)]
-            if not self._calls:
-                self._accepted = []
         for call in due:
             call.future.set_result((success, answer))
         if due:
@@ -242,10 +235,7 @@ class FrameFlow:
 
     def accept(self, frame: Frame) -> None:
         """Pass a frame to the worker if it is wanted; called in the executor's thread."""
-        if not self._is_wanted():
-            return
-        self._records.requests.accept(frame)
-        if self.worker.put(frame):
+        if self._is_wanted() and self.worker.put((self._records.requests.accept(), frame)):
             self._records.statistics.add_dropped(1)
 
     def drop(self) -> None:
@@ -264,19 +254,20 @@ class FrameFlow:
         if self._records.requests.are_waiting or self._query.is_waiting:
             return True
         return self._live.settings.mode == 'continuous' and (
-            self._map is not None or self._outputs.is_any_wanted())
+            self._map is not None or bool(self._outputs.wanted()))
 
-    def _begin(self, frame: Frame) -> Callable[[], None]:
+    def _begin(self, numbered: tuple[int, Frame]) -> Callable[[], None]:
         """Do the first half of the work on a frame; return a function that does the second."""
+        number, frame = numbered
         try:
             processor, live = self._processor, self._live
             processor.settings = live.settings
             processor.detector.config = live.late_kernels.without_unready_shapes(live.config)
-            return partial(self._finish, frame, processor.begin(frame))
+            return partial(self._finish, number, frame, processor.begin(frame))
         except Exception as error:
-            return partial(self._skip, frame, error)
+            return partial(self._skip, number, frame, error)
 
-    def _finish(self, frame: Frame, find: Callable[[], DetectedFrame]) -> None:
+    def _finish(self, number: int, frame: Frame, find: Callable[[], DetectedFrame]) -> None:
         """Publish the planes of a frame, or log why not."""
         statistics, requests, _, health = self._records
         try:
@@ -294,13 +285,13 @@ class FrameFlow:
                 stamp = found.header.stamp
                 health.note(found.detection, wanted, stamp.sec + 1e-9 * stamp.nanosec)
                 statistics.add_processed({**found.timer.seconds, 'publish': publish_s}, found)
-                requests.finish(frame, True, found)
+                requests.finish(number, True, found)
         except Exception as error:
-            self._skip(frame, error)
+            self._skip(number, frame, error)
 
-    def _skip(self, frame: Frame, error: Exception) -> None:
+    def _skip(self, number: int, frame: Frame, error: Exception) -> None:
         """Log why a frame has no result: one frame must not end the node."""
         with current_stop().uncut():
             reason = self._records.faults.report(error, f'image of {stamp_text(frame.image)}')
             self._records.statistics.add_skipped(reason)
-            self._records.requests.finish(frame, False, f'frame skipped: {reason}')
+            self._records.requests.finish(number, False, f'frame skipped: {reason}')

@@ -120,9 +120,9 @@ def test_lost_images_are_counted_and_reported_with_the_remedy(robot, room):
 def counted(images_s, infos_s):
     count = ArrivalCount()
     for stamp_s in images_s:
-        count.add_image(round(1e9 * stamp_s))
+        count.add(round(1e9 * stamp_s), is_image=True)
     for stamp_s in infos_s:
-        count.add_camera_info(round(1e9 * stamp_s))
+        count.add(round(1e9 * stamp_s), is_image=False)
     return count
 
 
@@ -142,8 +142,8 @@ def test_a_bag_in_a_loop_loses_no_images():
     looped_s = np.tile(np.arange(100) / 30, 3)
     count = ArrivalCount()
     for stamp_s in looped_s:
-        count.add_camera_info(round(1e9 * stamp_s))
-        count.add_image(round(1e9 * stamp_s))
+        count.add(round(1e9 * stamp_s), is_image=False)
+        count.add(round(1e9 * stamp_s), is_image=True)
         found = count.arrivals()
         assert not found.are_few
         assert found.images <= 100, 'nothing from before a jump of time is counted'

@@ -168,6 +168,7 @@ class Subscriptions:
         self._watch = TopicWatch(node)
         self._is_depth_watched = depth == 'required'
         self._count = ArrivalCount()
+        self._epoch = self._synchronizer.epoch
         self._depth_offset_s = self._lost_share = 0.0
         self._unpaired_since_s = math.inf
         self._jumps_s: deque[float] = deque(maxlen=_MOST_JUMPS)
@@ -271,11 +272,11 @@ class Subscriptions:
 
     def _on_image(self, msg: Any) -> None:
         self._watch.heard(self._anchor)
-        self._count.add_image(ns_of(msg))
+        self._count.add(ns_of(msg), is_image=True)
         self._camera_header = msg.header
-        epoch = self._synchronizer.epoch
         self._hand_over(self._synchronizer.add_image(msg))
-        if self._synchronizer.epoch != epoch:
+        if self._synchronizer.epoch != self._epoch:
+            self._epoch = self._synchronizer.epoch
             self._note_jump()
 
     def _note_jump(self) -> None:
@@ -296,7 +297,7 @@ class Subscriptions:
 
     def _on_camera_info(self, msg: CameraInfo) -> None:
         self._watch.heard('camera_info')
-        self._count.add_camera_info(ns_of(msg))
+        self._count.add(ns_of(msg), is_image=False)
         self._hand_over(self._synchronizer.add_camera_info(msg))
 
     def _on_depth(self, msg: Any) -> None:
@@ -349,16 +350,15 @@ class Subscriptions:
 
     def _compare_frame_ids(self, frame: Frame) -> None:
         """Warn once if image, depth and CameraInfo are not of one camera by their frame_ids."""
-        stamped = {self._anchor: frame.image, 'camera_info': frame.camera_info,
-                   self._depth_role: frame.depth or frame.image}
-        ids = {role: msg.header.frame_id for role, msg in stamped.items()}
-        key = tuple(ids.values())
-        if key in self._frame_ids or len(self._frame_ids) >= _MOST_FRAME_IDS:
+        ids = (frame.image.header.frame_id, frame.camera_info.header.frame_id,
+               (frame.depth or frame.image).header.frame_id)
+        if ids in self._frame_ids or len(self._frame_ids) >= _MOST_FRAME_IDS:
             return
-        self._frame_ids.add(key)
-        if len(set(filter(None, key))) > 1:
+        self._frame_ids.add(ids)
+        if len(set(filter(None, ids))) > 1:
+            roles = dict(zip((self._anchor, 'camera_info', self._depth_role), ids, strict=True))
             named = ', '.join(f'"{plain(frame_id, _SHOWN)}" of {self._names[role]}'
-                              for role, frame_id in ids.items())
+                              for role, frame_id in roles.items())
             self._node.get_logger().warning(
                 f'the frame_ids differ: {named}. Depth must be registered to the image, and '
                 'CameraInfo be that of the image: other topics of the driver may be')

@@ -9,8 +9,7 @@ order within each topic, not on how the topics interleave.
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -77,14 +76,16 @@ class FrameSynchronizer:
     def __init__(self, depth: str = 'unused', stamp_slop_s: float = 0.0,
                  imu_to_camera: tuple[float, ...] = (0.0, 0.0, 0.0, 1.0)):
         self._depth_use, self._stamp_slop_s = depth, stamp_slop_s
-        self._images = _MessageBuffer()
-        self._infos = _MessageBuffer()
-        self._depths = _MessageBuffer()
+        self._images, self._infos, self._depths = _Messages(), _Messages(), _Messages()
         self._gravity = _GravityFilter(imu_to_camera)
         self._last_ns = 0
         self._dropped = 0
         self._unpaired_ns: int | None = None
-        self.epoch = 0
+
+    @property
+    def epoch(self) -> int:
+        """Number of jumps back in time so far."""
+        return self._images.jumps
 
     def apply(self, depth: str, stamp_slop_s: float) -> None:
         """Change the parameters of this object; messages that wait are matched by the new ones."""
@@ -111,29 +112,27 @@ class FrameSynchronizer:
 
     def add_image(self, msg: Image | CompressedImage) -> list[Frame]:
         """Add an image; return the frames that are complete now, oldest first."""
-        if self._images.add(msg):
-            self.epoch += 1
+        epoch = self._images.jumps
+        most = 1 if self._depth_use == 'unused' else _CACHED
+        if dropped := self._images.add(msg, most):
+            self._dropped += dropped
+            if self._depth_use == 'required' and self._infos.latest is not None:
+                self._unpaired_ns = self._depths.offset_of_nearest(ns_of(msg))
+        if self._images.jumps != epoch:
             self._depths.forget_after(ns_of(msg) + JUMP_NS)
             self._gravity.reset()
-        dropped = self._images.shrink_to(1 if self._depth_use == 'unused' else _CACHED)
-        self._dropped += dropped
-        if dropped and self._depth_use == 'required' and self._infos.latest is not None:
-            self._unpaired_ns = self._depths.offset_of_nearest(ns_of(msg))
         return self._complete()
 
     def add_camera_info(self, msg: CameraInfo) -> list[Frame]:
         """Add a calibration; return the frames that are complete now, oldest first."""
-        first = self._infos.latest is None
+        if self._infos.latest is None:  # of the images before, only one with its stamp is usable
+            self._dropped += self._images.keep({ns_of(msg)})
         self._infos.add(msg)
-        self._infos.shrink_to(_CACHED)
-        if first:  # of the images before it, only one with its stamp is usable
-            self._dropped += self._images.keep(lambda stamp_ns, _: stamp_ns == ns_of(msg))
         return self._complete()
 
     def add_depth(self, msg: Image) -> list[Frame]:
         """Add a depth image; return the frames that are complete now, oldest first."""
         self._depths.add(msg)
-        self._depths.shrink_to(_CACHED)
         return self._complete()
 
     def finish(self) -> list[Frame]:
@@ -147,110 +146,91 @@ class FrameSynchronizer:
 
     def _complete(self, at_end: bool = False) -> list[Frame]:
         frames = []
-        for stamp_ns, image in self._images.items() if self._infos.latest else ():
-            decided, depth = self._depth_for(stamp_ns, at_end)
-            info = self._infos.exact(stamp_ns) or self._infos.latest
-            if not decided or (not at_end and self._awaits_calibration(image, info)):
+        images, infos, depths = (one.by_stamp for one in (self._images, self._infos, self._depths))
+        for stamp_ns, image in list(images.items()) if infos else ():
+            is_decided, depth = self._depth_for(stamp_ns, at_end)
+            info = infos.get(stamp_ns, self._infos.latest)
+            if not is_decided or (not at_end and self._awaits_calibration(image, info)):
                 continue
-            self._images.keep(lambda _, other, done=image: other is not done)
+            del images[stamp_ns]
             if depth is None and self._depth_use == 'required':
                 self._dropped += 1
                 self._unpaired_ns = self._depths.offset_of_nearest(stamp_ns)
                 continue
-            self._forget_depths(stamp_ns)
+            # Depth from before the last frame but one goes: images may change places.
+            oldest_ns = min(self._last_ns, stamp_ns) - round(self._stamp_slop_s * 1e9)
+            for other_ns in [other_ns for other_ns in depths if other_ns < oldest_ns]:
+                del depths[other_ns]
+            self._last_ns = stamp_ns
             gravity = self._gravity.gravity_camera(stamp_ns * 1e-9)
-            frames.append(Frame(image, info, depth, gravity, self.epoch))
+            frames.append(Frame(image, info, depth, gravity, self._images.jumps))
         return frames
-
-    def _forget_depths(self, stamp_ns: int) -> None:
-        """Forget depth images from before the last frame but one: images may change places."""
-        oldest_ns = min(self._last_ns, stamp_ns) - round(self._stamp_slop_s * 1e9)
-        self._depths.keep(lambda other_ns, _: other_ns >= oldest_ns)
-        self._last_ns = stamp_ns
 
     def _awaits_calibration(self, image: Image | CompressedImage, info: CameraInfo) -> bool:
         """Return whether an image does not fit its calibration and a later one may still come."""
         if isinstance(image, CompressedImage) or info.header.stamp == image.header.stamp:
             return False
-        can_come = (self._infos.has_recent(ns_of(self._images.latest))
-                    and not self._infos.is_past(ns_of(image)))
+        can_come = (self._infos.has_recent(self._images.latest_ns)
+                    and self._infos.latest_ns <= ns_of(image))
         return can_come and image_size(info) not in ((image.width, image.height), (0, 0))
 
     def _depth_for(self, stamp_ns: int, at_end: bool) -> tuple[bool, Image | None]:
         """Return whether the depth image of an image is determined, and the depth image."""
-        exact = self._depths.exact(stamp_ns)
+        exact = self._depths.by_stamp.get(stamp_ns)
         if exact is not None or self._depth_use == 'unused':
             return True, exact
         can_wait = not at_end and (self._depth_use == 'required' or (
-            self._depths.has_recent(stamp_ns) and not self._images.is_past(stamp_ns)))
-        if can_wait and not self._depths.is_past(stamp_ns):
+            self._depths.has_recent(stamp_ns) and self._images.latest_ns <= stamp_ns))
+        if can_wait and self._depths.latest_ns <= stamp_ns:
             return False, None
-        return True, self._depths.nearest(stamp_ns, round(self._stamp_slop_s * 1e9))
+        offset_ns = self._depths.offset_of_nearest(stamp_ns)
+        if offset_ns is None or abs(offset_ns) > round(self._stamp_slop_s * 1e9):
+            return True, None
+        return True, self._depths.by_stamp[stamp_ns + offset_ns]
 
 
-class _MessageBuffer:
+class _Messages:
     """The latest messages of one topic by stamp; emptied when time jumps back."""
 
     def __init__(self) -> None:
-        self._messages: deque[tuple[int, Any]] = deque()
-        self._latest_ns = 0
+        self.by_stamp: dict[int, Any] = {}  # in the order of arrival; of one stamp the last
         self.latest: Any = None
+        self.latest_ns = 0
+        self.jumps = 0
 
-    def add(self, msg: Any) -> bool:
-        """Add a message; return whether time has jumped back."""
+    def add(self, msg: Any, most: int = _CACHED) -> int:
+        """Add a message; return how many of this epoch go, of the same stamp or beyond a count."""
         stamp_ns = ns_of(msg)
-        jumped = self.latest is not None and stamp_ns < self._latest_ns - JUMP_NS
-        if jumped:
-            self._messages.clear()
-        self._messages.append((stamp_ns, msg))
-        self._latest_ns, self.latest = stamp_ns, msg
-        return jumped
+        if self.latest is not None and stamp_ns < self.latest_ns - JUMP_NS:
+            self.jumps += 1
+            self.by_stamp.clear()
+        before = len(self.by_stamp) + 1
+        self.by_stamp.pop(stamp_ns, None)
+        self.by_stamp[stamp_ns] = self.latest = msg
+        self.latest_ns = stamp_ns
+        while len(self.by_stamp) > most:
+            del self.by_stamp[next(iter(self.by_stamp))]
+        return before - len(self.by_stamp)
 
-    def shrink_to(self, count: int) -> int:
-        """Remove the oldest messages beyond a count; return their number."""
-        removed = max(len(self._messages) - count, 0)
-        for _ in range(removed):
-            self._messages.popleft()
-        return removed
-
-    def keep(self, condition: Callable[[int, Any], bool]) -> int:
-        """Keep the messages that meet a condition on stamp and message; return how many go."""
-        before = len(self._messages)
-        self._messages = deque(entry for entry in self._messages if condition(*entry))
-        return before - len(self._messages)
+    def keep(self, stamps_ns: Collection[int]) -> int:
+        """Keep only the messages with some stamps; return how many go."""
+        gone = [stamp_ns for stamp_ns in self.by_stamp if stamp_ns not in stamps_ns]
+        for stamp_ns in gone:
+            del self.by_stamp[stamp_ns]
+        return len(gone)
 
     def forget_after(self, stamp_ns: int) -> None:
         """Remove later messages, which are from before a jump back in time."""
-        self.keep(lambda other_ns, _: other_ns <= stamp_ns)
-        self._latest_ns = min(self._latest_ns, stamp_ns) if self._messages else 0
-
-    def items(self) -> list[tuple[int, Any]]:
-        """Return stamp and message of each, in the order of arrival."""
-        return list(self._messages)
-
-    def exact(self, stamp_ns: int) -> Any:
-        """Return the last message with this stamp, or None."""
-        return next((msg for other_ns, msg in reversed(self._messages) if other_ns == stamp_ns),
-                    None)
-
-    def is_past(self, stamp_ns: int) -> bool:
-        """Whether a later message has arrived, so that none with this stamp will."""
-        return self._latest_ns > stamp_ns
+        self.keep([other_ns for other_ns in self.by_stamp if other_ns <= stamp_ns])
+        self.latest_ns = min(self.latest_ns, stamp_ns) if self.by_stamp else 0
 
     def has_recent(self, stamp_ns: int) -> bool:
         """Whether messages arrived shortly before a stamp."""
-        return self.latest is not None and self._latest_ns > stamp_ns - JUMP_NS
-
-    def nearest(self, stamp_ns: int, slop_ns: int) -> Any:
-        """Return the message nearest in time within the slop, or None."""
-        offset_ns = self.offset_of_nearest(stamp_ns)
-        if offset_ns is None or abs(offset_ns) > slop_ns:
-            return None
-        return self.exact(stamp_ns + offset_ns)
+        return self.latest is not None and self.latest_ns > stamp_ns - JUMP_NS
 
     def offset_of_nearest(self, stamp_ns: int) -> int | None:
         """Return how much later than a stamp the message nearest to it is; None without one."""
-        return min((other_ns - stamp_ns for other_ns, _ in self._messages), key=abs, default=None)
+        return min((other_ns - stamp_ns for other_ns in self.by_stamp), key=abs, default=None)
 
 
 class _GravityFilter:

@@ -240,13 +240,12 @@ class ArrivalCount:
         self._images: deque[int] = deque(maxlen=_MOST_STAMPS)
         self._infos: deque[int] = deque(maxlen=_MOST_STAMPS)
 
-    def add_image(self, stamp_ns: int) -> None:
-        """Count an image."""
-        _append(self._images, stamp_ns)
-
-    def add_camera_info(self, stamp_ns: int) -> None:
-        """Count a CameraInfo."""
-        _append(self._infos, stamp_ns)
+    def add(self, stamp_ns: int, is_image: bool) -> None:
+        """Count an image or a CameraInfo."""
+        stamps = self._images if is_image else self._infos
+        if stamps and stamp_ns < stamps[-1] - JUMP_NS:  # time jumped back
+            stamps.clear()
+        stamps.append(stamp_ns)
 
     @property
     def period_s(self) -> float:
@@ -264,9 +263,3 @@ class ArrivalCount:
         first_ns = max(min(self._images), last_ns - _WINDOW_NS)
         return Arrivals(*(len({stamp_ns for stamp_ns in stamps if first_ns <= stamp_ns <= last_ns})
                           for stamps in (self._images, self._infos)))
-
-
-def _append(stamps: deque[int], stamp_ns: int) -> None:
-    if stamps and stamp_ns < stamps[-1] - JUMP_NS:  # time jumped back
-        stamps.clear()
-    stamps.append(stamp_ns)

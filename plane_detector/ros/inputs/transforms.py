@@ -158,7 +158,7 @@ class CameraPose:
     """Direction of gravity (3,) in the optical frame, and height above the base frame's origin."""
 
     gravity_camera: np.ndarray
-    height_m: float
+    height_m: float | None  # None below it
 
 
 class FrameTransforms:
@@ -235,7 +235,8 @@ class FrameTransforms:
             return None
         to_base = self._lookup(settings.base_frame, header, settings, timeout_s)
         up_base = unit_direction(settings.base_up)
-        return CameraPose(-to_base.rotation.T @ up_base, float(to_base.translation_m @ up_base))
+        height_m = float(to_base.translation_m @ up_base)
+        return CameraPose(-to_base.rotation.T @ up_base, height_m if height_m > 0 else None)
 
     def to_target(self, header: Header, settings: NodeConfig, timeout_s: float = 0.0
                   ) -> RigidTransform | None:

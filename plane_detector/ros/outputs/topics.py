@@ -127,10 +127,6 @@ class OutputPublishers:
         return [name for name, publisher in self._publishers.items()
                 if publisher.get_subscription_count()]
 
-    def is_any_wanted(self) -> bool:
-        """Return whether an output has subscribers."""
-        return any(publisher.get_subscription_count() for publisher in self._publishers.values())
-
     def publish(self, messages: Mapping[str, Any]) -> None:
         """Publish messages by the names of their outputs."""
         for name, msg in messages.items():
