@@ -15,8 +15,9 @@ The systematic part differs from the smooth one in how the errors grow with the 
 blur has made smooth is a field of one length: up to that length the differences between its values
 grow with the square of the distance, beyond it they do not grow. The errors of real sensors have
 no such length: the variance of their differences grows with about the distance, as that of a
-random walk, over the whole image. What is seen of them about a plane is less than what bends it,
-since the least-squares plane takes the longest waves for itself.
+random walk, over the whole image. Filters of drivers and phones leave errors that are smooth,
+wander over the image and have no noise of single pixels. What is seen of the errors about a plane
+is less than what bends it, since the least-squares plane takes the longest waves for itself.
 """
 
 from __future__ import annotations

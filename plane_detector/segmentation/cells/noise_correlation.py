@@ -49,21 +49,19 @@ SMOOTH_POWER, BENDING_PER_POWER, MAX_BENDING = 1.45, 2.5, 3.0
 # stereo -0.035 from 0 to 0.35, NYU frames -0.01 to 0.8.
 MIN_GROWTH, FULL_GROWTH = 0.3, 0.6
 # Depth that a driver or a phone has filtered is as smooth between near cells as blurred noise, but
-# wanders over the image: about a quadric in each region, which takes what curved surfaces leave,
-# its differences grow from 4 to 8 cells with a power of .8 to 1.6 of the distance, those of
-# blurred noise and of bows with .0 to .5. From the first of these powers on it has a systematic
-# part, with the second all of it. The median of the regions with as many pairs counts: surfaces
-# that are not yet apart in one of them leave 1.1 to 1.2 there and .5 to .65 in the next.
-# tuned: 16 rooms of filtered depth of benchmark labelled, bows of .3 to 5 m radius, the frame of a
-# phone, and lived-in rooms with noise below seed 9000: SC of .943 in filtered rooms, .963 with all
-# regions at once, .908 with the growth about planes; but then a lived-in room in ten or twenty at
-# .001 1/m gets a noise of .004. The same at .6 and .9; 300 pairs leave out slivers.
-# From the third on, about planes from 2 to 8 cells, it is what surfaces that are not yet apart
-# leave in the largest ones: 1.85 to 1.92 in a workshop (stereo), where noise of 10 mm joined what
+# wanders over the image. Filtering has taken its grain, the noise of the pixels: it is .01 of what
+# neighbouring cells differ by in simulated phones, .5 to .8 in frames of today's, and 3 to 7 in
+# blurred noise. To the first of these shares its errors have a systematic part if they grow, from
+# the second on none. They must grow about a quadric in each region, as bows do not.
+# tuned: 16 rooms of filtered depth of benchmark labelled, walls, floors and rooms with noise
+# blurred over 4 to 24 px, lived-in rooms with noise of .0001 to .001, frames of today's sensors:
+# the same from .7 to 1.2 times; neighbours of blurred noise are 3 at the nearest
+MIN_GRAIN, MAX_GRAIN = 1.5, 2.5
+# From this power of the distance on, about planes from 2 to 8 cells, growth is what surfaces that
+# are not yet apart leave: 1.85 to 1.92 in a workshop (stereo), where noise of 10 mm joined what
 # 3 mm keep apart. Filtered rooms have up to 1.74, the phone's 1.65.
 # tuned: as above.
-MIN_WANDERING, FULL_WANDERING, MAX_WANDERING = 0.65, 0.85, 1.8
-MIN_PAIRS = 300
+MAX_WANDERING = 1.8
 # It counts the less the rougher the noise is, up to this excess: then the walk of rough noise
 # decides.
 # tuned: 16 frames of today's sensors: a wall and a door are one at 1, in four of 20 draws of noise
@@ -219,11 +217,10 @@ def bending_of(model: WeightedCells, regions: PlaneRegions, noise: Noise) -> flo
     is_used = in_large_regions(labels, len(regions.coefficients)) & model.is_planar
     residuals = _residuals(labels, regions.coefficients, model.table, is_used)
 
-    def log_variance(lag: int, region: int = -1, fewest: int = 1) -> float:
+    def log_variance(lag: int) -> float:
         """Return that of the differences without the cells' own noise; NaN if it is all."""
-        moduli = _differences(labels, residuals, lag, region)
-        is_known = len(moduli) >= fewest
-        variance = (SIGMA_PER_MEDIAN * median(moduli)) ** 2 - 2 * own if is_known else 0.0
+        moduli = _differences(labels, residuals, lag)
+        variance = (SIGMA_PER_MEDIAN * median(moduli)) ** 2 - 2 * own if len(moduli) else 0.0
         return math.log2(variance) if variance > 0 else math.nan
 
     at_one, at_two, at_four, at_eight = (log_variance(lag) for lag in (1, 2, 4, 8))
@@ -232,14 +229,13 @@ def bending_of(model: WeightedCells, regions: PlaneRegions, noise: Noise) -> flo
         return 1.0
     roughness = min(max(BENDING_PER_POWER * (SMOOTH_POWER - power), 0.0), MAX_BENDING - 1)
     excess = roughness * _share_between(growth, MIN_GROWTH, FULL_GROWTH)
-    if roughness < MAX_ROUGHNESS and (at_eight - at_two) / 2 < MAX_WANDERING:
+    grain = noise.pixel_sigma / 2 ** ((at_one - 1) / 2)  # a difference has twice the variance
+    filtered = 1 - _share_between(grain, MIN_GRAIN, MAX_GRAIN)
+    if filtered > 0 and roughness < MAX_ROUGHNESS and (at_eight - at_two) / 2 < MAX_WANDERING:
         _remove_bows(labels, residuals, model.table, len(regions.coefficients))
-        growths = sorted(filter(math.isfinite, (
-            log_variance(8, k, MIN_PAIRS) - log_variance(4, k, MIN_PAIRS)
-            for k in range(len(regions.coefficients)))))
-        wandering = _share_between(growths[(len(growths) - 1) // 2] if growths else 0.0,
-                                   MIN_WANDERING, FULL_WANDERING)
-        excess = max(excess, (MAX_BENDING - 1) * wandering * (1 - roughness / MAX_ROUGHNESS))
+        wandering = _share_between(log_variance(8) - log_variance(4), MIN_GROWTH, FULL_GROWTH)
+        excess = max(excess, (MAX_BENDING - 1) * filtered * wandering
+                     * (1 - roughness / MAX_ROUGHNESS))
     of_smooth = 1 + excess
     if noise.is_metric:
         least = LEAST_ERROR_M * model.grid.typical_disparity**2 / smooth_sigma
@@ -281,14 +277,14 @@ def _remove_bows(labels, residuals, table, count):
                 residuals[i] -= quadric[k, row] * terms[row]
 
 
-@kernel('float64[::1](int32[:, ::1], float64[::1], int64, int64)', is_short=True)
-def _differences(labels, residuals, lag, region):
-    """Return moduli of the differences of residuals some cells apart in a region; -1: in each."""
+@kernel('float64[::1](int32[:, ::1], float64[::1], int64)', is_short=True)
+def _differences(labels, residuals, lag):
+    """Return moduli of the differences of residuals some cells apart in a region."""
     (rows, columns), count, moduli = labels.shape, 0, np.empty(2 * labels.size)
     for row in range(rows):
         for column in range(columns):
             here = residuals[row * columns + column]
-            if np.isnan(here) or region >= 0 and labels[row, column] != region:
+            if np.isnan(here):
                 continue
             for r, c in ((row - lag, column), (row, column - lag)):
                 if r >= 0 and c >= 0 and labels[r, c] == labels[row, column]:
