@@ -288,13 +288,6 @@ class Planes(Sequence[Plane]):
         """Sum of the variances of each normal, (K,), squared radians."""
         return np.einsum('nii->n', self.covariances[:, :3, :3])
 
-    @cached_property
-    def centroid_variances_m2(self) -> np.ndarray:
-        """Variance of the distance of each plane from its centroid, (K,)."""
-        point = np.ones((len(self), 4))
-        point[:, :3] = self.centroids_m
-        return np.einsum('ni,nij,nj->n', point, self.covariances, point)
-
 
 NO_PLANES = Planes.of(())
 NO_SHAPE_LABELS = np.zeros((0, 0), np.int32)

@@ -122,7 +122,7 @@ class DirectionFinder:
         self._found_s = float('nan')
         self._stamp_s = float('nan')
         self._is_held = False
-        self._normals: dict[int, np.ndarray] = {}  # by label, when the lines were found
+        self._normals: dict[int, list[float]] = {}  # by label, when the lines were found
         self._hold_times = 1
 
     def find(self, image: CameraImage, measured_down: np.ndarray | None, config: Config,
@@ -164,8 +164,9 @@ class DirectionFinder:
 
         They are not trusted with a network's depth, or without a direction of gravity.
         """
-        large = found.planes.picked(found.planes.counts >= LARGE_SHARE * found.labels.size)
-        normals = dict(zip(large.labels.tolist(), large.normals, strict=True))
+        planes, is_large = found.planes, found.planes.counts >= LARGE_SHARE * found.labels.size
+        normals = dict(zip(planes.labels[is_large].tolist(), planes.normals[is_large].tolist(),
+                           strict=True))
         if not self._is_held:
             longer = 1 if _has_turned(self._normals, normals) else 2 * self._hold_times
             self._hold_times = min(max(longer, STEADY_TIMES), MOST_STEADY_TIMES)
@@ -174,8 +175,8 @@ class DirectionFinder:
             self._hold_times = 1
 
 
-def _has_turned(before: dict[int, np.ndarray], after: dict[int, np.ndarray]) -> bool:
+def _has_turned(before: dict[int, list[float]], after: dict[int, list[float]]) -> bool:
     """Return False if two planes have the same normals as before: then no turn is possible."""
     same = np.array([normal for label, normal in before.items() if label in after
-                     and np.linalg.norm(after[label] - normal) < TURNED_RAD])
+                     and math.dist(after[label], normal) < TURNED_RAD])
     return not same.size or bool((abs(same @ same.T) > math.cos(APART_RAD)).all())

@@ -131,9 +131,9 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
         ('self.offsets_m - normals', 'self.offsets_m + normals', 'sign of the translation'),
         ('-translation_m @ rotation', '-translation_m', 'covariance moved without the rotation')),
     'tracking/matching.py': (
-        ('after.normals.T +', 'after.normals.T -', 'sign of an offset'),
+        ('after[1][n], before', '-after[1][n], before', 'sign of an offset'),
         ('and track.missed <', 'and track.missed >', 'missing shapes are forgotten'),
-        ('one.centroid_variances_m2 / one.', 'one.centroid_variances_m2 * one.',
+        ('variance / spreads[k, 0]', 'variance * spreads[k, 0]',
          'errors of offsets not as a share of the distance')),
     'tracking/shape_tracker.py': (
         ('_MAX_SIZE_CHANGE * max(a, b)', '_MAX_SIZE_CHANGE * min(a, b)',

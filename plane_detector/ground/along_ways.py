@@ -162,6 +162,21 @@ def count_borders(labels, lines, ways, ray_x, ray_y, planes, down, walkable, max
     return joins, risers, steps
 
 
+@kernel(f'UniTuple(int64[::1], 2)({_DEPTH}, {_LABELS}, {_RAYS}, float32[::1], float64, float64, '
+        'int64)', is_short=True)
+def count_off_level(depth_m, labels, ray_x, ray_y, down, level_m, most_m, count):
+    """Return of every eighth pixel those of each plane (K,), and how many are off a level."""
+    pixels, off = np.zeros(count, np.int64), np.zeros(count, np.int64)
+    for v in range(0, labels.shape[0], 8):
+        for u in range(0, labels.shape[1], 8):
+            k = labels[v, u]
+            if 0 <= k < count:
+                sight = ray_x[u] * down[0] + ray_y[v] * down[1] + down[2]
+                pixels[k] += 1
+                off[k] += abs(depth_m[v, u] * sight - level_m) > most_m
+    return pixels, off
+
+
 @kernel(f'Tuple((boolean[:, ::1], float32[:, ::1]))({_DEPTH}, {_LABELS}, {_LINES}, int64, '
         f'{_RAYS}, {_PLANES}, float32[::1], boolean[::1], int64, float64, float64, float64)')
 def mark_ground(depth_m, labels, lines, ways, ray_x, ray_y, planes, down, is_ground, own,

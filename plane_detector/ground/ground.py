@@ -13,8 +13,10 @@ from plane_detector.config import Config, GroundConfig
 from plane_detector.directions.gravity_choice import COARSE_DEG, Gravity
 from plane_detector.geometry.disparity import valid_depth
 from plane_detector.geometry.projection import pixel_rays
+from plane_detector.geometry.robust import order_statistics
 from plane_detector.ground.along_ways import (
     count_borders,
+    count_off_level,
     first_met,
     mark_drops,
     mark_ground,
@@ -409,14 +411,15 @@ def _unseen(depth_m: np.ndarray, rays: tuple[np.ndarray, np.ndarray], surfaces: 
 def _rough_floor(depth_m: np.ndarray, labels: np.ndarray, rays: tuple[np.ndarray, np.ndarray],
                  down: np.ndarray, min_height: float) -> float:
     """Return the height of the camera over a floor before the robot that is no plane, else 0."""
-    x, y = np.meshgrid(rays[0][::8], rays[1][::8])
-    sight = down[0] * x + down[1] * y + down[2]
-    steepness, rank = sight / np.sqrt(x * x + y * y + 1), sight.size - sight.size // NEAR_SHARE
-    is_near = steepness >= np.partition(steepness, rank, axis=None)[rank]
+    x, y = rays[0][::8], rays[1][::8, None]
+    sight = down[0] * x + (down[1] * y + down[2])
+    steepness, rank = sight / np.sqrt(x * x + (y * y + 1)), sight.size - sight.size // NEAR_SHARE
+    is_near = steepness >= order_statistics(steepness.ravel(), rank)[1]
     below_m = (depth_m[::8, ::8] * sight)[is_near]
     is_rough = np.isfinite(below_m) & (labels[::8, ::8][is_near] < 0)
     # Something alone in an empty image is no floor.
-    if 2 * is_rough.sum() <= np.isfinite(below_m).sum() or 4 * is_rough.sum() < is_near.sum():
+    found = np.count_nonzero(is_rough)
+    if 2 * found <= np.count_nonzero(np.isfinite(below_m)) or 4 * found < len(below_m):
         return 0.0
     low, middle, high = np.percentile(below_m[is_rough], [10, 50, 90])
     return float(middle) if high - low <= min_height and middle > min_height else 0.0
@@ -507,12 +510,9 @@ def _ground_planes(surfaces: Surfaces, own: int, above: np.ndarray, error: np.nd
 def _are_flat(depth_m: np.ndarray, labels: np.ndarray, rays: tuple[np.ndarray, np.ndarray],
               down: np.ndarray, point_m: np.ndarray, most_m: float, count: int) -> np.ndarray:
     """Return which planes (K + 1,) are within some height of the level of a point."""
-    sight = np.add.outer(rays[1][::8] * down[1] + down[2], rays[0][::8] * down[0])
-    kinds = np.where(labels[::8, ::8] < count, labels[::8, ::8], -1) + 1
-    is_off = abs(depth_m[::8, ::8] * sight - point_m @ down) > most_m
-    pixels, off = (np.bincount(kinds[which], minlength=count + 1)[1:]
-                   for which in (kinds > 0, is_off & (kinds > 0)))
-    return np.append((pixels >= MIN_SAMPLES) & (off <= STRAY_SHARE * pixels), False)
+    pixels, off = count_off_level(depth_m, labels, *rays, down.astype(np.float32),
+                                  point_m @ down, most_m, count + 1)
+    return (pixels >= MIN_SAMPLES) & (off <= STRAY_SHARE * pixels)
 
 
 def _classes(found: PlaneSegmentation, surfaces: Surfaces, above: np.ndarray, joined: np.ndarray,

@@ -48,30 +48,34 @@ class PlaneMotion:
 NO_MOTION = PlaneMotion(np.eye(3), np.zeros(3), 1.0)
 
 
-def estimate_motion(before: Planes, after: Planes, weights: np.ndarray) -> PlaneMotion:
+def estimate_motion(before: Planes, after: Planes, pairs: tuple[np.ndarray, np.ndarray],
+                    weights: np.ndarray) -> PlaneMotion:
     """
     Estimate the motion from planes visible in both images.
 
     1. Estimate the rotation between the normals (Kabsch 1976).
     2. Estimate translation and scale by least squares.
 
-    Both are reweighted with Cauchy's function, so that a few wrong pairs have little effect. The N
-    planes are in the previous and in the present camera frame, with a weight (N,) of each pair.
-    Without a pair there is no motion.
+    Both are reweighted with Cauchy's function, so that a few wrong pairs have little effect. The
+    ``pairs`` are the indices (N,) of planes in the previous and in the present camera frame, with
+    a weight (N,) each. Without a pair there is no motion.
     """
-    if not len(before):
+    old, new = pairs
+    if not len(old):
         return NO_MOTION
-    weights = weights / (before.normal_variances + after.normal_variances
+    normals, normals_after = before.normals[old], after.normals[new]
+    weights = weights / (before.normal_variances[old] + after.normal_variances[new]
                          + _NORMAL_SPREAD_RAD ** 2)
     weights /= weights.sum()
-    rotation = _rotation(before.normals, after.normals, weights)
-    off = before.normals @ rotation.T - after.normals
+    rotation = _rotation(normals, normals_after, weights)
+    off = normals @ rotation.T - normals_after
     agree = (off * off).sum(axis=1) < (2 * _TURN_SPREAD_RAD) ** 2
     if not agree.any():
         return NO_MOTION
+    new = new[agree]
     translation_m, scale = _translation_and_scale(
-        before.offsets_m[agree], after.normals[agree], after.offsets_m[agree],
-        after.distances_m[agree], weights[agree])
+        before.offsets_m[old[agree]], normals_after[agree], after.offsets_m[new],
+        after.distances_m[new], weights[agree])
     return PlaneMotion(rotation, translation_m, scale)
 
 

@@ -85,45 +85,84 @@ def _count_common(pixels, known_px, labels, count):
     return common, found_px
 
 
-def likeness(before: Planes, after: Planes, overlap: Overlap,
-             deviation2: np.ndarray) -> np.ndarray:
+def likeness(nearness: np.ndarray, overlap: Overlap, deviation2: np.ndarray) -> np.ndarray:
     """
     Return how well planes agree in position and coefficients, (T, N), 0 to 1.
 
     The positions agree by shared pixels or, if the camera has turned so far that there are none,
-    by the distance of the centroids relative to the size of the planes. The coefficients agree by
-    their :func:`squared_deviation`.
+    by the nearness of the centroids. The coefficients agree by their squared deviation.
     """
-    place = np.maximum((overlap.of_union + overlap.of_known) / 2, _nearness(before, after))
+    place = np.maximum((overlap.of_union + overlap.of_known) / 2, nearness)
     return place * np.exp(-0.5 * deviation2)
 
 
-def squared_deviation(before: Planes, after: Planes, growth: np.ndarray | float = 1.0
-                      ) -> np.ndarray:
+def compare(before: Planes, after: Planes, growth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """
-    Return the squared number of standard deviations by which coefficients differ, (T, N).
+    Compare T planes with N others in the same camera frame.
 
-    The T and N planes are in one camera frame; ``growth``, (T,) or a number, is a factor on the
-    variances of angle and offset between two images.
+    Parameters
+    ----------
+    before, after : Planes
+    growth : (T,) floating
+        Factor on the variances of angle and offset between two images.
+
+    Returns
+    -------
+    deviation2 : (T, N) float64
+        Squared number of standard deviations by which the coefficients differ.
+    nearness : (T, N) float64
+        1 for equal centroids, less with the distance over the smaller size.
+
     """
-    growth = np.reshape(growth, (-1, 1))
-    turn_rad = np.arccos((before.normals @ after.normals.T).clip(-1, 1))
-    off = (before.centroids_m @ after.normals.T + after.offsets_m) / before.distances_m[:, None]
-    back = (before.normals @ after.centroids_m.T + before.offsets_m[:, None]) / after.distances_m
-    turn_variance = (_ANGLE_RAD ** 2 * growth
-                     + np.add.outer(before.normal_variances, after.normal_variances))
-    off_variance = (_OFFSET_SHARE ** 2 * growth
-                    + np.add.outer(*(one.centroid_variances_m2 / one.distances_m ** 2
-                                     for one in (before, after))))
-    return turn_rad ** 2 / turn_variance + (off ** 2 + back ** 2) / (2 * off_variance)
+    return _compare(*(tuple(map(np.ascontiguousarray, (
+        one.normals, one.offsets_m, one.centroids_m, one.covariances, one.areas_m2)))
+        for one in (before, after)), np.ascontiguousarray(growth, float))
 
 
-def _nearness(before: Planes, after: Planes) -> np.ndarray:
-    """Return (T, N): 1 for equal centroids, less with the distance over the smaller size."""
-    apart_m = before.centroids_m[:, None] - after.centroids_m
-    smaller_m2 = np.maximum(np.minimum.outer(before.areas_m2, after.areas_m2), _TINY_M2)
-    larger_m2 = np.maximum(np.maximum.outer(before.areas_m2, after.areas_m2), _TINY_M2)
-    return np.exp(-(apart_m ** 2).sum(axis=2) / smaller_m2) * np.sqrt(smaller_m2 / larger_m2)
+_PLANES = ('Tuple((float64[:, ::1], float64[::1], float64[:, ::1], float64[:, :, ::1], '
+           'float64[::1]))')
+
+
+@kernel(f'UniTuple(float64[:, ::1], 2)({_PLANES}, {_PLANES}, float64[::1])', is_short=True)
+def _compare(before, after, growth):
+    known, found = _spreads(before), _spreads(after)
+    deviation2 = np.empty((len(known), len(found)))
+    nearness = np.empty((len(known), len(found)))
+    for t in range(len(known)):
+        for n in range(len(found)):
+            cosine, off, back, apart_m2 = 0.0, after[1][n], before[1][t], 0.0
+            for i in range(3):
+                cosine += before[0][t, i] * after[0][n, i]
+                off += before[2][t, i] * after[0][n, i]
+                back += before[0][t, i] * after[2][n, i]
+                apart_m2 += (before[2][t, i] - after[2][n, i]) ** 2
+            off, back = off / known[t, 0], back / found[n, 0]
+            turn_rad = math.acos(min(max(cosine, -1.0), 1.0))
+            turn_variance = _ANGLE_RAD**2 * growth[t] + known[t, 1] + found[n, 1]
+            off_variance = _OFFSET_SHARE**2 * growth[t] + known[t, 2] + found[n, 2]
+            deviation2[t, n] = (turn_rad**2 / turn_variance
+                                + (off * off + back * back) / (2 * off_variance))
+            small_m2 = max(min(before[4][t], after[4][n]), _TINY_M2)
+            large_m2 = max(before[4][t], after[4][n], _TINY_M2)
+            nearness[t, n] = math.exp(-apart_m2 / small_m2) * math.sqrt(small_m2 / large_m2)
+    return deviation2, nearness
+
+
+@kernel(f'float64[:, ::1]({_PLANES})')
+def _spreads(planes):
+    """Return the distance of each plane, the variance of its normal and of its offset over it."""
+    (normals, _, centroids, covariances, _), spreads = planes, np.zeros((len(planes[1]), 3))
+    for k in range(len(normals)):
+        variance = covariances[k, 3, 3]
+        for i in range(3):
+            spreads[k, 0] += centroids[k, i] ** 2
+            spreads[k, 1] += covariances[k, i, i]
+            variance += 2 * centroids[k, i] * covariances[k, i, 3]
+            for j in range(3):
+                variance += centroids[k, i] * covariances[k, i, j] * centroids[k, j]
+        spreads[k, 0] = max(math.sqrt(spreads[k, 0]), _TINY_M2)
+        spreads[k, 2] = variance / spreads[k, 0] ** 2
+    return spreads
 
 
 def labels_of_found(tracks: Sequence[Any], match: Mapping[int, int], count: int,

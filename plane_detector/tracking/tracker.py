@@ -24,11 +24,11 @@ from plane_detector.tracking.camera_motion import estimate_motion
 from plane_detector.tracking.matching import (
     Overlap,
     best_pairs,
+    compare,
     labels_of_found,
     likeness,
     measure_overlap,
     pixels_by_label,
-    squared_deviation,
     thinned,
 )
 from plane_detector.types import NO_PLANES, Planes, PlaneSegmentation
@@ -117,8 +117,8 @@ def update_tracks(known: KnownPlanes, found: PlaneSegmentation, config: Tracking
     overlap = measure_overlap([track.pixels for track in known.tracks], image, len(after))
     moved = _moved_along(known, after, pixels, overlap)
     missed = np.array([track.missed for track in known.tracks])
-    deviation2 = squared_deviation(moved, after, 1 + missed)
-    match = _match(known.tracks, likeness(moved, after, overlap, deviation2))
+    deviation2, nearness = compare(moved, after, 1 + missed)
+    match = _match(known.tracks, likeness(nearness, overlap, deviation2))
     labels, gone = labels_of_found(known.tracks, match, len(pixels), config.keep_frames)
     tracks = [Track(label, where, _streak(known.tracks, match.get(k)))
               for k, (label, where) in enumerate(zip(labels, pixels, strict=True))]
@@ -141,7 +141,7 @@ def _moved_along(known: KnownPlanes, after: Planes, pixels: Sequence[np.ndarray]
         return known.planes
     old, new = np.nonzero(_is_sure(known, after, overlap.of_union))
     weights = overlap.of_union[old, new] * np.sqrt([len(pixels[index]) for index in new])
-    return estimate_motion(known.planes.picked(old), after.picked(new), weights).move(known.planes)
+    return estimate_motion(known.planes, after, (old, new), weights).move(known.planes)
 
 
 def _is_sure(known: KnownPlanes, after: Planes, share: np.ndarray) -> np.ndarray:

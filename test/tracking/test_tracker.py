@@ -13,7 +13,7 @@ from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.evaluation.scenes.rooms import box, camera_rotation, render
 from plane_detector.pipeline import segment_planes
 from plane_detector.tracking.camera_motion import PlaneMotion
-from plane_detector.tracking.matching import best_pairs, squared_deviation
+from plane_detector.tracking.matching import best_pairs, compare
 from plane_detector.tracking.tracker import PlaneTracker
 from plane_detector.types import CameraIntrinsics, Plane, Planes, PlaneSegmentation
 
@@ -215,7 +215,7 @@ def test_planes_differ_by_the_errors_of_both():
     sure, unsure = (Planes.of([replace(BACK, covariance=np.diag([0, 0, 0, sigma_m**2]),
                                        offset_m=offset_m, centroid_m=np.array([0, 0, offset_m]))])
                     for sigma_m, offset_m in ((0.0, 4.0), (0.2, 4.3)))
-    found = squared_deviation(sure, unsure).item()
+    found = compare(sure, unsure, np.ones(1))[0].item()
     assert found == pytest.approx((0.3 / 4.15) ** 2 / (0.03**2 + (0.2 / 4.3) ** 2), rel=0.01)
 
 
