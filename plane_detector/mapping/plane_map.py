@@ -239,21 +239,23 @@ class PlaneMap:
         # Under the predicted pose, then under the one registered to what fits to it.
         for is_last in (False, True):
             camera = correction.camera
-            moved, view = image.found.moved(camera), image.view(camera)
+            view = image.view(camera)
             index, counts = visible(self.planes, all_frames, view)
             frames = all_frames.picked(index)
             sizes = image.found.areas_m2 / (2 * self.config.cell)**2
-            pairs = compare(frames, moved, counts, sizes, correction.error, camera.translation_m)
+            pairs = compare(frames, image.sharp.moved(camera), counts, sizes, correction.error,
+                            camera.translation_m)
             points_m = _split(camera.points(image.points_m), image.ends)
             fit = fitting(pairs, [self.planes[k] for k in index], points_m, self.up)
-            taken = assign(fit, image.apart, len(moved))
+            taken = assign(fit, image.apart, len(sizes))
             if not is_last:
                 evidence, shown = np.append(index, -1)[taken], np.flatnonzero(taken >= 0)
-                correction = register(prediction, image.found, frames.picked(taken[shown]), shown)
+                correction = register(prediction, image.sharp, frames.picked(taken[shown]), shown)
         beside = pairs.picked((pairs.shared > _SAME_PLACE) & (taken[pairs.new] < 0))
         total = max(image.found.counts.sum(), 1)
         return _Attempt(
-            correction, view, moved, points_m, index, np.append(index, -1)[taken], evidence,
+            correction, view, image.found.moved(camera), points_m, index,
+            np.append(index, -1)[taken], evidence,
             float(image.found.counts[taken >= 0].sum() / total),
             float(image.found.counts[np.unique(beside.new)].sum() / total))
 
@@ -377,6 +379,9 @@ class _Image:
 
     placed: PlacedDetection
     found: Planes
+    # The same without the systematic error of the sensor. Planes of one image, and of the next,
+    # have most of it in common: it says little about whether two of them are one.
+    sharp: Planes
     apart: np.ndarray  # (K, K) bool, not one plane, whatever the pose is
     beside: np.ndarray  # (K, K) bool, of these those on the same side
     points_m: np.ndarray  # (N, 3) on the found planes, one after another
@@ -389,13 +394,14 @@ class _Image:
         """Return an image with the systematic error of the sensor, 1/m."""
         detection, intrinsics = placed.detection, placed.intrinsics
         found = found_planes(detection, intrinsics, systematic)
-        apart, same_side = apart_in_image(found)
+        sharp = found_planes(detection, intrinsics, _LEAST_SYSTEMATIC)
+        apart, same_side = apart_in_image(sharp)
         news = np.ones(len(found))
         if systematic > _LEAST_SYSTEMATIC:
             # A systematic error is the same in the next views: it does not average out.
             share = detection.planes.covariances[:, 3, 3] / found.covariances[:, 3, 3]
             news = np.maximum(share, _LEAST_NEWS)
-        return cls(placed, found, apart, apart & same_side,
+        return cls(placed, found, sharp, apart, apart & same_side,
                    *sampled(detection.labels, found, intrinsics, _ROWS),
                    float(np.hypot(detection.disparity_noise, systematic)), news)
 

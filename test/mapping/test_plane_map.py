@@ -126,6 +126,19 @@ def test_a_systematic_error_does_not_average_out():
     assert deviations[1] > 0.5 * deviations[0]
 
 
+def test_a_leaf_before_its_wall_is_another_plane_however_much_the_sensor_bends_them():
+    wall_m = np.full((CAMERA.height, CAMERA.width), 2.5, np.float32)
+    leaf_m = wall_m.copy()
+    leaf_m[30:, 50:110] -= 0.04
+    detector, planes = PlaneDetector(Config(depth=DepthConfig(source='topic'))), PlaneMap()
+    for k, depth_m in enumerate((wall_m, wall_m, leaf_m, leaf_m)):
+        pose = RigidTransform(np.eye(3), np.array([0.02 * k, 0.0, 0.0]))
+        found = detector.detect(np.zeros((*depth_m.shape, 3), np.uint8), CAMERA, depth_m)
+        bent = replace(found, systematic_noise=0.0018)
+        labels = planes.update(PlacedDetection(bent, CAMERA, pose, float(k))).labels
+    assert labels.tolist() == [1, 2]
+
+
 def test_a_wall_is_not_the_picture_that_it_covers():
     # The wall of the map is in view with a little more than what is found of it.
     pairs = Pairs(np.arange(2), np.zeros(2, int), np.ones(2), np.array([1.0, 0.95]),
