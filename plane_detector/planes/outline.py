@@ -9,6 +9,7 @@ pixel does not move.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -30,6 +31,7 @@ class Polygon:
 
     corners_m: np.ndarray
     is_hole: bool
+    area_px: float = math.nan  # inside it in the image; NaN: not of one image
 
 
 @dataclass(frozen=True)
@@ -104,9 +106,9 @@ def all_polygons(labels: np.ndarray, ends: np.ndarray, intrinsics: CameraIntrins
         mask = labels[top:bottom, left:right] == index
         outlines.append(_simple_outlines(mask, (top, left)) if mask.size else [])
     corners_m = iter(_on_planes(
-        [corners_px for of_plane in outlines for corners_px, _ in of_plane],
+        [corners_px for of_plane in outlines for corners_px, *_ in of_plane],
         planes, np.repeat(np.arange(len(planes)), [len(one) for one in outlines]), intrinsics))
-    return tuple(tuple(Polygon(next(corners_m), is_hole) for _, is_hole in of_plane)
+    return tuple(tuple(Polygon(next(corners_m), *others) for _, *others in of_plane)
                  for of_plane in outlines)
 
 
@@ -280,8 +282,8 @@ def _hull_px(ends):
 
 
 def _simple_outlines(mask: np.ndarray, first_pixel: tuple[int, int]
-                     ) -> list[tuple[np.ndarray, bool]]:
-    """Return corners (N, 2), column and row, and whether it is a hole, of each outline."""
+                     ) -> list[tuple[np.ndarray, bool, float]]:
+    """Return corners (N, 2), column and row, whether it is a hole, and area, of each outline."""
     contours, hierarchy = cv2.findContours(
         np.ascontiguousarray(mask).view(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_SIMPLE,
         offset=first_pixel[::-1])
@@ -290,11 +292,13 @@ def _simple_outlines(mask: np.ndarray, first_pixel: tuple[int, int]
     for index, parent in enumerate(parents):
         if parent >= 0:
             families[parent].append(index)
-    patches = sorted(families, key=lambda index: -cv2.contourArea(contours[index]))
+    areas_px = [cv2.contourArea(contour) for contour in contours]
+    patches = sorted(families, key=lambda index: -areas_px[index])
     order = [index for patch in patches for index in families[patch]]
     simple = ((cv2.approxPolyDP(contours[index], _TOLERANCE_PX, True).reshape(-1, 2),
-               parents[index] >= 0) for index in order if len(contours[index]) > 2)
-    return [(corners_px, is_hole) for corners_px, is_hole in simple if len(corners_px) > 2]
+               parents[index] >= 0, areas_px[index])
+              for index in order if len(contours[index]) > 2)
+    return [outline for outline in simple if len(outline[0]) > 2]
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from copy import copy
+from itertools import chain, islice
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -25,9 +26,9 @@ _LINE_WIDTH = 0.006
 # derived: lines in the surface of the points flicker; lifted by this share of the distance towards
 # the camera, they are in front of it and look the same from there.
 _LIFTED_BY = 0.01
-# chosen: parts and holes below this share of a plane's largest outline in the image are not drawn:
+# chosen: parts and holes below this share of a plane's largest part in the image are not drawn:
 # half of all outlines, with a sixth of the corners; ~/boundaries has them.
-_SMALLEST_OUTLINE = 0.02
+_SMALLEST_OUTLINE = 0.05
 # Of captions: legible on every colour; viewers add a dark box.
 _WHITE = ColorRGBA(r=1.0, g=1.0, b=1.0, a=1.0)
 _SURFACE_ALPHA = 0.6
@@ -86,26 +87,13 @@ def _plane_markers(frame: DetectedFrame, blank: Marker) -> Iterator[Marker]:
 
 def _outlines(frame: DetectedFrame) -> list[list[list[Point]]]:
     """Return the corners of the outlines of each plane that are large enough, lifted from it."""
-    counts = np.array([len(polygon.corners_m) for of_plane in frame.camera_polygons
-                       for polygon in of_plane], np.int64)
-    corners_m = np.concatenate([np.zeros((0, 3)), *(
-        polygon.corners_m for of_plane in frame.camera_polygons for polygon in of_plane)])
-    last = counts.cumsum() - 1
-    after = np.arange(1, len(corners_m) + 1)
-    after[last] = last + 1 - counts
-    x, y = corners_m[:, :2].T / corners_m[:, 2]
-    areas = abs(np.diff((x * y[after] - x[after] * y).cumsum()[last], prepend=0)).tolist()
-    corners = messages.point_msgs(frame.placed((1 - _LIFTED_BY) * corners_m))
-    found, index, first = [], 0, 0
-    for of_plane in frame.camera_polygons:
-        found.append([])
-        smallest = _SMALLEST_OUTLINE * max(areas[index:index + len(of_plane)], default=0.0)
-        for polygon in of_plane:
-            last = first + len(polygon.corners_m)
-            if areas[index] >= smallest:
-                found[-1].append(corners[first:last])
-            index, first = index + 1, last
-    return found
+    large = [[polygon.corners_m for polygon in of_plane
+              if polygon.area_px >= _SMALLEST_OUTLINE * of_plane[0].area_px]
+             for of_plane in frame.camera_polygons]
+    corners = iter(messages.point_msgs(frame.placed((1 - _LIFTED_BY) * np.concatenate(
+        [np.zeros((0, 3)), *chain.from_iterable(large)]))))
+    return [[list(islice(corners, len(corners_m))) for corners_m in of_plane]
+            for of_plane in large]
 
 
 def _sides(outlines: Sequence[Sequence[Point]]) -> list[Point]:

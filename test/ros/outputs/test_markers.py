@@ -63,7 +63,8 @@ def test_large_outlines_of_a_plane_are_drawn_in_front_of_it(to_target):
         # Each corner is an end of two sides, and every border of the plane's pixels is near one.
         assert marker.type == Marker.LINE_LIST
         assert set(np.unique(pixels.round(2), axis=0, return_counts=True)[1]) == {2}
-        mask = scene.depth_and_labels()[1] == index
+        # The hole behind the ball is too small to be drawn.
+        mask = np.isin(scene.depth_and_labels()[1], [index, scene.BALL] if label == 7 else index)
         inside = mask[1:-1, 1:-1] & mask[:-2, 1:-1] & mask[2:, 1:-1] & mask[1:-1, :-2] & (
             mask[1:-1, 2:])
         border = mask.copy()
