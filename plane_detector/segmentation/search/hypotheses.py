@@ -39,17 +39,28 @@ CELLS = 'UniTuple(float64[:, ::1], 2)'
 FREE = 'int32[::1]'
 
 
-@kernel(f'float64[:, ::1](int64[::1], {FREE}, int64, {CELLS}, int64, float64)')
-def draw_planes(left, free, stride, cells, wanted, share):
-    """Return the planes (h, 3) of windows that are flat, about some of the cells left."""
+@kernel(f'Tuple((float64[:, ::1], float64))({FREE}, int64, {CELLS}, int64, float64)')
+def draw_planes(free, stride, cells, wanted, share):
+    """
+    Return the planes (h, 3) of windows that are flat, about some free cells, and the next share.
+
+    The windows are at places of an even sequence over the image. They stay where they are when
+    cells elsewhere become free or are taken, so that slight noise draws nearly the same planes.
+    """
     table, moments = cells
     planes, total, n = np.empty((wanted * len(WINDOWS_CELLS), 3)), np.empty(10), 0
     for window in range(len(WINDOWS_CELLS)):
-        height, width = WINDOWS_CELLS[window, 0], WINDOWS_CELLS[window, 1]
-        for _ in range(wanted):
+        height, width, drawn = WINDOWS_CELLS[window, 0], WINDOWS_CELLS[window, 1], 0
+        for _ in range(len(free)):
+            if drawn == wanted:
+                break
             share += GOLDEN_RATIO
             share -= int(share)
-            corner, filled = left[int(share * len(left))] - height // 2 * stride - width // 2, 0
+            place, filled = int(share * len(free)), 0
+            if free[place] < 0:
+                continue
+            drawn += 1
+            corner = place - height // 2 * stride - width // 2
             for left_end in range(corner, corner + height * stride, stride):
                 for p in range(left_end, left_end + width):
                     filled += free[np.uint64(p)] >= 0  # unsigned: no wrap-around check
@@ -67,7 +78,7 @@ def draw_planes(left, free, stride, cells, wanted, share):
             if squared_error(a, b, c, total) < MAX_JOINT_VARIANCES * expected:
                 planes[n, 0], planes[n, 1], planes[n, 2] = a, b, c
                 n += 1
-    return planes[:n]
+    return planes[:n], share
 
 
 @kernel('Tuple((float64[:, ::1], float32[::1]))(float64[:, ::1], float32[::1], float64)')

@@ -6,7 +6,9 @@ Search for the planes and the noise together, since each is needed to find the o
 1. the noise is estimated from differences between neighbouring cells, its lateral part from how
    the deviation of the pixels grows with the slope;
 2. the largest planes are found, and the noise is estimated from their residuals, which neither
-   miss noise that is smooth over several cells nor count clutter as noise;
+   miss noise that is smooth over several cells nor count clutter as noise; again with this noise,
+   as long as the planes explain more. One image may have two noises that agree with their own
+   planes, and chance would choose;
 3. the systematic part of the noise shows in how the residuals grow with the distance;
 4. the remaining planes are found with this noise, or all of them again if it has changed.
 """
@@ -60,17 +62,28 @@ def search_planes(frame: Frame) -> tuple[Frame, PlaneRegions]:
     noise = noise.with_smooth_part(START_SHARE * noise.mean_sigma, noise.slope_sigma)
     frame, floor = replace(frame, noise=noise), sys.float_info.min
     floor += math.sqrt(noise.variance_floor(grid.typical_disparity))
-    for trial in range(MAX_TRIALS):
-        regions = add_planes(frame, no_planes(grid), min(CALIBRATION_PLANES, most))
-        noise = _noise_from_planes(frame, regions)
-        if trial == MAX_TRIALS - 1 or not _differs(noise, frame.noise, floor):
+    best, trial = -math.inf, frame
+    for _ in range(MAX_TRIALS):
+        found = add_planes(trial, no_planes(grid), min(CALIBRATION_PLANES, most))
+        found_noise = _noise_from_planes(trial, found)
+        evidence = _evidence(grid, found, max(found_noise.mean_sigma, floor))
+        if evidence <= best:
             break
-        frame = replace(frame, noise=noise)
+        best, frame, regions, noise = evidence, trial, found, found_noise
+        if not _differs(noise, frame.noise, floor):
+            break
+        trial = replace(frame, noise=noise)
     if _differs(noise.with_bending(MAX_BENDING), noise, floor):
         noise = noise.with_bending(bending_of(frame.cells, regions, noise))
     if _differs(noise, frame.noise, floor):
         frame, regions = replace(frame, noise=noise), no_planes(grid)
     return frame, add_planes(frame, regions, most)
+
+
+def _evidence(grid: CellGrid, regions: PlaneRegions, sigma: float) -> float:
+    """Return the log-likelihood gain of cells on planes over cells at any typical disparity."""
+    cells = np.count_nonzero(regions.labels >= 0)
+    return cells * math.log(max(grid.typical_disparity / sigma, 1.0))
 
 
 def _differs(noise: Noise, other: Noise, floor: float) -> bool:

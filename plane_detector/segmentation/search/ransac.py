@@ -29,7 +29,6 @@ from plane_detector.segmentation.search.dbscan import (
 from plane_detector.segmentation.search.hypotheses import (
     CELLS,
     FREE,
-    GOLDEN_RATIO,
     WIDEST_WINDOW_CELLS,
     add_support,
     draw_planes,
@@ -92,8 +91,7 @@ def find_planes(cells, grid, labels, near, counts, limits):
     left = left[:n].copy()
     planes, taken, drawn = np.empty((most - first, 3)), 0, 0
     while taken < len(planes) and drawn < max_drawn and _pixels(left, free, cells) >= min_pixels:
-        hypotheses = draw_planes(left, free, stride, cells, min(wanted, len(left)),
-                                 share + GOLDEN_RATIO * drawn)
+        hypotheses, share = draw_planes(free, stride, cells, min(wanted, len(left)), share)
         before, all_drawn = taken, len(left) <= wanted
         new, left = _take_best(hypotheses, (left, free, cells, near), labels, planes[taken:],
                                (first + taken, min_pixels, threshold2))
