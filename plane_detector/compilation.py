@@ -40,7 +40,7 @@ from typing import Any
 
 from plane_detector.stopping import raise_if_stopped
 
-# derived: more processes need 150 MB each and wait for the longest kernel anyway.
+# chosen: more processes need 150 MB each and wait for the longest kernel anyway.
 MOST_PROCESSES = 6
 LOG_PERIOD_S = 5.0
 """Time between two messages while kernels are compiled."""

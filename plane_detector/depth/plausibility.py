@@ -19,7 +19,7 @@ from plane_detector.types import CameraIntrinsics, Prediction
 
 # Share of negative depths tolerated, because resampling in a network may undershoot.
 _MOST_NEGATIVE = 0.01
-# derived: fastdepth, the weakest network of the zoo, reaches 0.81 on the corridor; a network that
+# chosen: fastdepth, the weakest network of the zoo, reaches 0.81 on the corridor; a network that
 # depends only on the colour of a pixel reaches 0.01.
 _MIN_OPPOSITE_CORRELATION = 0.4
 # With less contrast an image shows nothing, and constant depth is not an error.

@@ -25,7 +25,7 @@ _CHANNELS = {'depth': 1, 'points': 3, 'mask': 1, 'scale': 0, 'normals': 3, 'conf
 _MIN_MASK = 0.5  # pixels are valid from this value of a mask (the threshold of MoGe)
 _ROUNDS = 20
 _SETTLED = 1e-6  # of the depth: below the precision of float32
-_SAMPLED_SIDE = 64  # derived: 4096 pixels determine one unknown with more than enough precision
+_SAMPLED_SIDE = 64  # chosen: 4096 pixels determine one unknown with more than enough precision
 _MIN_DEPTH_SHARE = 0.01  # of the typical depth; nearer pixels would dominate the weights
 OWN_FOCAL = -1.0
 

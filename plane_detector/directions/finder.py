@@ -26,7 +26,7 @@ from plane_detector.types import CameraIntrinsics, PlaneSegmentation
 # While a camera does not turn, as its planes show, the lines are held for so many times longer,
 # and each time that they are found again for twice as long, up to 2 s.
 STEADY_TIMES, MOST_STEADY_TIMES = 5, 20
-# derived: a tenth of what gravity from an image may be off. With noise of .001, .002 and .004 per
+# chosen: a tenth of what gravity from an image may be off. With noise of .001, .002 and .004 per
 # metre on real images, 100, 92 and 82 % of the frames of a still camera are within it.
 TURNED_RAD = math.radians(0.5)
 # Of a plane whose normal counts, and between two of them: a plane does not show turns about

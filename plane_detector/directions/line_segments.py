@@ -12,14 +12,14 @@ import numpy as np
 
 from plane_detector.types import CameraIntrinsics
 
-# derived: half of VGA takes a quarter of the time and keeps all useful lines; the line of a
+# chosen: half of VGA takes a quarter of the time and keeps all useful lines; the line of a
 # segment is accurate to a fraction of a pixel of the reduced image.
 DETECTION_WIDTH_PX = 320
 # Of the reduced image. tuned: python -m plane_detector.evaluation.benchmark orientation, flat from
 # 13 to 20; the direction of shorter segments is too inaccurate, whatever the size of the image.
 MIN_LENGTH_PX = 16.0
 MAX_SEGMENTS = 120
-# derived: the irregular border due to rectification or registration is within a few percent.
+# chosen: the irregular border due to rectification or registration is within a few percent.
 BORDER_SHARE = 0.03
 
 

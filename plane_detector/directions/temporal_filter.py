@@ -26,7 +26,7 @@ from plane_detector.directions.posterior import Expected
 from plane_detector.directions.vanishing import SceneDirections
 
 # Largest motion of a matched segment's midpoint at unit focal length, and sine of its rotation.
-# derived: 50 pixels of 525, and 6 degrees, beyond the motion of a hand within a tenth of a second.
+# chosen: 50 pixels of 525, and 6 degrees, beyond the motion of a hand within a tenth of a second.
 MATCH_DISTANCE, MATCH_SINE = 0.1, 0.1
 MIN_MATCHES = 8
 # derived: accuracy of the plane of a segment, half a pixel over its length.
@@ -39,16 +39,16 @@ TURN_ERROR_RATIO, STILL_RAD, UNKNOWN_TURN_RAD = 3.0, np.radians(0.2), np.radians
 # share that determines a rotation. measured: .65 to .91 with noise of 5 grey levels, .52 to .64
 # at 30 images/s, .38 to .56 at half of that, at most .08 between views of other parts of a room.
 STILL_SHARE, LEAST_SHARE, MOST_SPREADS = 0.65, 0.2, 3.0
-# Blur at which the posterior before is worth half. derived: of the verticals that are the same.
+# Blur at which the posterior before is worth half. chosen: of the verticals that are the same.
 CLOSE_RAD = np.radians(2.5)
 # Weight of the evidence of one more image of a view. tuned: 22 images with a probability below
 # 0.995, each 12 times: at 0.2 the probability rises by 0.08 in the mean, because modes are not
 # the whole posterior, from 0.27 to 0.4 it stays within 0.02; at 0.5 and with noise of 3 grey
 # levels answers come and go twice as often.
 SAME_VIEW_GAIN = 0.35
-# Share of the evidence before that a new view leaves. derived: ten views.
+# Share of the evidence before that a new view leaves. chosen: ten views.
 REMEMBERED = 0.9
-# The azimuth is no longer known after a turn with a larger error. derived: that of its axes.
+# The azimuth is no longer known after a turn with a larger error. chosen: that of its axes.
 LARGEST_PAIR_ERROR_RAD = np.radians(5.0)
 
 

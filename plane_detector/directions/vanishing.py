@@ -60,7 +60,7 @@ CLOSE_AZIMUTH_DEG = 9
 # Segments within this angle of a direction are explained by it and support no other direction.
 # derived: beyond three standard deviations of a long line.
 REACH_DEG = 4.0
-# derived: a third pair does not change any plane.
+# chosen: a third pair does not change any plane.
 MAX_PAIRS = 2
 # Accuracy of building edges and lens calibrations. tuned: on real images nine of ten directions of
 # gravity are within twice this value.

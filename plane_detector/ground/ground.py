@@ -52,9 +52,9 @@ MAJORITY, FEW_COLUMNS = 0.75, 0.05
 ONE_FLOOR = 0.2
 # Slopes within the accuracy of an IMU or of a level plane count as level.
 LEVEL_DEG = 3.0
-# derived: steeper by the error of gravity and of the plane, a slope is still within max_slope.
+# chosen: steeper by the error of gravity and of the plane, a slope is still within max_slope.
 SLOPE_MARGIN_DEG = 1.0
-# derived: the floor that is nearest to the robot is in so many parts of the image the one where
+# chosen: the floor that is nearest to the robot is in so many parts of the image the one where
 # it looks down most steeply.
 NEAR_SHARE = 8
 # Borders are sampled at every fourth pixel; fewer samples that join are chance.

@@ -26,7 +26,7 @@ SAME_SIDE = np.cos(np.radians(30.0))
 REACH_M, UPRIGHT_REACH_M = 0.25, 1.2
 # chosen: the floor and the ceiling of a hall.
 LEVEL_REACH_M = 20.0
-# derived: an upright plane is one within 20 degrees of it.
+# chosen: an upright plane is one within 20 degrees of it.
 _UPRIGHT = np.sin(np.radians(20.0))
 # Points of a found plane of which one in so many must be within reach of the map's plane.
 _MIN_NEAR = 0.02

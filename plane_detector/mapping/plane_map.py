@@ -44,7 +44,7 @@ MOST_PLANES = 2000
 """More are not added: the memory is limited."""
 # The plane fitted to an exact surface differs by this, 1/m: rounding of depth and poses.
 _LEAST_SYSTEMATIC = 1.5e-4
-# derived: rows on which points of found planes are sampled; the smallest plane that is found, of
+# chosen: rows on which points of found planes are sampled; the smallest plane that is found, of
 # .3 % of the pixels, has about fifteen.
 _ROWS = 60
 FORGETTING = 0.95

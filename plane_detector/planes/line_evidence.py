@@ -14,7 +14,7 @@ from plane_detector.directions.line_segments import LineSegments
 # A segment belongs to the regions at this distance on both sides of it.
 SIDE_PX = 4.0
 SAMPLES = 9
-# derived: gravity and the first pair of horizontal axes. Further pairs belong to few walls or to
+# chosen: gravity and the first pair of horizontal axes. Further pairs belong to few walls or to
 # furniture: their lines show which planes may be across them, but exclude no plane.
 MAIN_AXES = 3
 # tuned: python -m plane_detector.evaluation.benchmark orientation, flat from 2 to 3.
@@ -25,7 +25,7 @@ HALF_LENGTH = 0.15
 # of 0.9 degrees at this value, 1.1 at three times as much, 1.7 without further pairs.
 MIN_PAIR_SHARE = 0.1
 # Sines of the angle between line and plane: below the first the line may lie in the plane, above
-# the second it cannot. derived: normals of networks have errors of 10 to 20 degrees.
+# the second it cannot. chosen: normals of networks have errors of 10 to 20 degrees.
 MAY_LIE, CANNOT_LIE = 0.2, 0.5
 
 

@@ -25,7 +25,7 @@ from plane_detector.directions.posterior import held_density
 from plane_detector.directions.vanishing import MIN_PROBABILITY, SceneDirections
 
 # Error of the normals of a depth good enough to contradict lines, whatever its bend allows.
-# derived: between those of smooth noise of .002 and of .008 per metre on large planes.
+# chosen: between those of smooth noise of .002 and of .008 per metre on large planes.
 OWN_SIGMA_RAD = np.radians(1.0)
 # Votes of each plane: their errors are not independent. tuned: rooms with misleading pictures,
 # even seeds 400 to 410 and 300 to 311: from 0.7 to 1 own axes are right where they are taken; of

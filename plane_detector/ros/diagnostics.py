@@ -33,7 +33,7 @@ HARDWARE_ID = 'plane_detector'
 PLANES_ID = 'plane_detector planes'
 """Hardware id of the table of planes: a panel of its own, whatever the name of the node."""
 _PERIOD_S = 1.0
-# derived: a network uses at most about 500 pixels on its short side; more than four times that
+# chosen: a network uses at most about 500 pixels on its short side; more than four times that
 # only costs time in the other stages.
 LARGE_PX = 2500
 REDUCED_PX = 1280

@@ -17,9 +17,9 @@ from plane_detector.ros.outputs import messages
 from plane_detector.ros.outputs.frame import DetectedFrame
 from plane_detector.types import Planes
 
-# derived: a click is within a few pixels of its target; planes further away are not meant.
+# chosen: a click is within a few pixels of its target; planes further away are not meant.
 REACH_PX = 8
-# derived: more clicks than a user makes between two frames; limits the memory.
+# chosen: more clicks than a user makes between two frames; limits the memory.
 _MOST_CLICKS = 16
 _LOG_PERIOD_S = 0.5  # chosen: users do not click faster, programs may
 

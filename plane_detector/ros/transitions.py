@@ -25,7 +25,7 @@ from plane_detector.ros.spinning import CannotRunError
 from plane_detector.stopping import Background
 
 Prepared = TypeVar('Prepared')
-# derived: an unreachable host is tried again as often as a user would, then less and less often.
+# chosen: an unreachable host is tried again as often as a user would, then less and less often.
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 5.0, 300.0
 _PAUSE_FACTOR = 2.0
 

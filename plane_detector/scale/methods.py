@@ -31,7 +31,7 @@ from plane_detector.scale.shift_posterior import ShiftEstimate, estimate_shift, 
 
 # The tolerance of gravity is so many standard deviations.
 COARSE_GRAVITY_DEG, TOLERANCE_SIGMAS = 5.0, 2.0
-# Of axes that planes have in common. derived: twice the error of buildings.
+# Of axes that planes have in common. chosen: twice the error of buildings.
 OWN_TOLERANCE_DEG = 2.0
 # Metres more uncertain than this, as a share of depth, are not given. chosen: obstacles a third
 # nearer or farther than stated help nobody.

@@ -49,7 +49,7 @@ _MAX_FACET_SHARE = 0.06
 _MIN_FACET_SHARE = 0.7
 # Enough pixels to estimate a share.
 _FACET_PIXELS = 300
-# derived: the normals of fewer cells do not distinguish shapes.
+# chosen: the normals of fewer cells do not distinguish shapes.
 _MIN_CELLS = 6
 # A shape whose surface continues smoothly across more than this share of its border is part of a
 # larger surface, such as an ellipsoid or a curtain.

@@ -17,7 +17,7 @@ import numpy as np
 
 from plane_detector.types import Planes
 
-# derived: a change of a millionth changes no label; a camera that stands still needs two rounds.
+# chosen: a change of a millionth changes no label; a camera that stands still needs two rounds.
 _MOST_ROUNDS, _CONVERGED = 8, 1e-6
 # Weight of the prior for no rotation; all planes together have weight 1.
 _NO_TURN_WEIGHT = 0.03

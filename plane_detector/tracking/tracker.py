@@ -42,7 +42,7 @@ _MISSED = 0.3
 _YOUTH = 0.9
 _MOTION_MIN_OVERLAP = 0.3
 _MOTION_MAX_TURN_RAD = np.radians(30.0)
-# derived: a plane is merged into the one with more than half of its pixels, if both are one plane
+# chosen: a plane is merged into the one with more than half of its pixels, if both are one plane
 # within three standard deviations, as for other decisions on coefficients.
 _MERGED_SHARE, _MOST_DEVIATIONS = 0.5, 3.0
 

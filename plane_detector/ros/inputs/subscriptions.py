@@ -43,12 +43,12 @@ _BEST = {'reliability': ReliabilityPolicy.BEST_AVAILABLE,
          'durability': DurabilityPolicy.BEST_AVAILABLE}
 _STRENGTHS = {'reliability': (ReliabilityPolicy.RELIABLE, ReliabilityPolicy.BEST_EFFORT),
               'durability': (DurabilityPolicy.TRANSIENT_LOCAL, DurabilityPolicy.VOLATILE)}
-# derived: a camera's jitter is no change of the difference between its stamps.
+# chosen: a camera's jitter is no change of the difference between its stamps.
 _OFFSET_CHANGE = 0.3
 # chosen: three jumps in this time are no loop of a bag; then they are logged no more often.
 _MOST_JUMPS, _JUMPS_WITHIN_S = 3, 5.0
 _MOST_FRAME_IDS, _SHOWN = 16, 80
-# derived: a share of some 75 images in a window varies by a few percent.
+# chosen: a share of some 75 images in a window varies by a few percent.
 _LOSS_CHANGE = 0.15
 
 

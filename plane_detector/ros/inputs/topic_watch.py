@@ -18,9 +18,9 @@ from rclpy.qos import ReliabilityPolicy
 from plane_detector.ros.inputs.depth_decoding import COMPRESSED_DEPTH
 from plane_detector.ros.inputs.synchronizer import JUMP_NS
 
-# derived: discovery takes about a second on a busy machine; silence before that means nothing.
+# chosen: discovery takes about a second on a busy machine; silence before that means nothing.
 GRACE_S = 2.0
-# derived: a topic has stopped after this many of its usual intervals, which allows for slow
+# chosen: a topic has stopped after this many of its usual intervals, which allows for slow
 # cameras; before the second message the interval is assumed to be this.
 _STOPPED_INTERVALS = 3.0
 _FIRST_INTERVAL_S = 5.0

@@ -23,7 +23,7 @@ from plane_detector.types import Plane, Shape, ShapeType
 
 # As a share of the distance from the camera, like the sizes of captions.
 _LINE_WIDTH = 0.006
-# derived: lines in the surface of the points flicker; lifted by this share of the distance towards
+# chosen: lines in the surface of the points flicker; lifted by this share of the distance towards
 # the camera, they are in front of it and look the same from there.
 _LIFTED_BY = 0.01
 # chosen: parts and holes below this share of a plane's largest part in the image are not drawn:
@@ -33,7 +33,7 @@ _SMALLEST_OUTLINE = 0.05
 _WHITE = ColorRGBA(r=1.0, g=1.0, b=1.0, a=1.0)
 _SURFACE_ALPHA = 0.6
 _CONE_SIDES = 24
-# derived: shares of a cone's pixels below which single wrong ones may lie; its length is as robust
+# chosen: shares of a cone's pixels below which single wrong ones may lie; its length is as robust
 _CONE_START = 0.02
 # Of captions, as a share of the distance from the camera: they look equal near and far.
 _TEXT_HEIGHT = 0.025

@@ -12,7 +12,7 @@ from plane_detector.segmentation.cells.grid import CellGrid
 from plane_detector.segmentation.cells.noise import Noise
 from plane_detector.segmentation.cells.plane_fit import DD, XD, YD, D, N, X, Y
 
-# derived: a sixteenth of the pixels; a patch that is narrower on the image holds few of them.
+# chosen: a sixteenth of the pixels; a patch that is narrower on the image holds few of them.
 PATCH_SCALE = 4
 NO_PATCHES = np.zeros((0, 0), np.int32)
 
