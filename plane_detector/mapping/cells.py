@@ -275,6 +275,25 @@ def sampled(labels: np.ndarray, planes: Planes, intrinsics: CameraIntrinsics, ro
                     ray_y, planes.normals, planes.offsets_m, planes.centroids_m)
 
 
+def extents(points_m: np.ndarray, ends: np.ndarray, own: np.ndarray, frames: PlaneFrames
+            ) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Return the lowest and highest coordinates (M, 2) of points along u and v of M frames.
+
+    Parameters
+    ----------
+    points_m : (N, 3) float64
+    ends : (K + 1,) int
+        Of :func:`sampled`.
+    own : (K,) int
+        The frame of the points of each found plane; -1 none.
+    frames : PlaneFrames
+        A frame without points gets infinities.
+
+    """
+    return _extents(points_m, ends, own, frames.origins_m, frames.axes)
+
+
 def are_near(flat_m: np.ndarray, cells: Cells, reach_m: float) -> float:
     """Return the share of points (N, 2), along u and v, with a seen cell within reach."""
     low = np.array(cells.low, float)
@@ -416,6 +435,21 @@ def _sampled(labels, step, ray_x, ray_y, normals, offsets, centroids):
                 place[k] += 1
     points[ends[1:] - 1] = centroids
     return points, ends
+
+
+@kernel('UniTuple(float64[:, ::1], 2)(float64[:, ::1], int64[::1], int64[::1], float64[:, ::1], '
+        'float64[:, :, ::1])', is_short=True)
+def _extents(points, ends, own, origins, axes):
+    lows, highs = np.full((len(origins), 2), np.inf), np.full((len(origins), 2), -np.inf)
+    for k in range(len(own)):
+        m = own[k]
+        for i in range(ends[k], ends[k + 1] if m >= 0 else ends[k]):
+            for j in range(2):
+                along = 0.0
+                for n in range(3):
+                    along += (points[i, n] - origins[m, n]) * axes[m, j, n]
+                lows[m, j], highs[m, j] = min(lows[m, j], along), max(highs[m, j], along)
+    return lows, highs
 
 
 @kernel('float64(float64[:, ::1], uint8[:, ::1], uint8[:, ::1], int64)', is_short=True)

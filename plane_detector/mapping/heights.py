@@ -36,12 +36,22 @@ class PlaneFrames:
         return PlaneFrames(self.origins_m[index], self.axes[index], self.coefficients[index],
                            self.covariances[index])
 
-    def as_planes(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return normals (M, 3), offsets (M,) and covariances (M, 4, 4) of their planes."""
+    @property
+    def coordinates(self) -> tuple[np.ndarray, np.ndarray]:
+        """Normals (M, 3) and offsets (M,) of their planes."""
+        _, normals, feet, _ = self._parts()
+        return normals, -(normals * feet).sum(axis=1)
+
+    def _parts(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Return slopes (M, 2), normals, points over origins, and lengths (M, 1) of normals."""
         slopes = self.coefficients[:, :2]
         length = np.sqrt(1 + (slopes * slopes).sum(axis=1))[:, None]
         normals = (self.axes[:, 2] - (slopes[:, None] @ self.axes[:, :2])[:, 0]) / length
-        feet = self.origins_m + self.coefficients[:, 2:] * self.axes[:, 2]
+        return slopes, normals, self.origins_m + self.coefficients[:, 2:] * self.axes[:, 2], length
+
+    def as_planes(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return normals (M, 3), offsets (M,) and covariances (M, 4, 4) of their planes."""
+        slopes, normals, feet, length = self._parts()
         jacobian = np.zeros((len(self), 4, 3))
         jacobian[:, :3, :2] = -(self.axes[:, :2] / length[:, :, None]).transpose(0, 2, 1) - (
             normals[:, :, None] * slopes[:, None] / length[:, :, None] ** 2)

@@ -96,6 +96,20 @@ def as_planes(planes: Sequence[MapPlane]) -> Planes:
     """
     frames = frames_of(planes)
     normals, offsets_m, covariances = frames.as_planes()
+    sums, centroids_m = centroids_of(planes, frames)
+    sizes_m = np.array([plane.cells.size_m for plane in planes])
+    votes = np.array([plane.votes for plane in planes]).reshape(-1, CLASSES)
+    return Planes(
+        normals, offsets_m, centroids_m, sums[0],
+        np.zeros(len(planes)), sums[0] * sizes_m**2, covariances,
+        sums[3] / np.maximum(sums[4], 1), np.full(len(planes), np.nan),
+        votes.argmax(axis=1).astype(np.uint8),
+        np.array([plane.label for plane in planes], np.int64), np.zeros(len(planes), np.int64))
+
+
+def centroids_of(planes: Sequence[MapPlane], frames: PlaneFrames
+                 ) -> tuple[np.ndarray, np.ndarray]:
+    """Return the sums (6, M) of :attr:`Cells.sums`, and the means (M, 3) of the cells."""
     sums = np.array([plane.cells.sums for plane in planes], np.int64).reshape(-1, 6).T
     sizes_m = np.array([plane.cells.size_m for plane in planes])
     lows = np.array([plane.cells.low for plane in planes]).reshape(-1, 2)
@@ -104,13 +118,7 @@ def as_planes(planes: Sequence[MapPlane]) -> Planes:
     middles[:, :2] = sizes_m[:, None] * (middles[:, :2] + lows + 0.5)
     middles[sums[0] == 0, :2] = 0.0
     middles[:, 2] = (frames.coefficients * middles).sum(axis=1)
-    votes = np.array([plane.votes for plane in planes]).reshape(-1, CLASSES)
-    return Planes(
-        normals, offsets_m, frames.origins_m + (middles[:, None] @ frames.axes)[:, 0], sums[0],
-        np.zeros(len(planes)), sums[0] * sizes_m**2, covariances,
-        sums[3] / np.maximum(sums[4], 1), np.full(len(planes), np.nan),
-        votes.argmax(axis=1).astype(np.uint8),
-        np.array([plane.label for plane in planes], np.int64), np.zeros(len(planes), np.int64))
+    return sums, frames.origins_m + (middles[:, None] @ frames.axes)[:, 0]
 
 
 def new_axes(normals: np.ndarray, up: np.ndarray) -> np.ndarray:

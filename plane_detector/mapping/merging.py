@@ -13,7 +13,7 @@ import numpy as np
 from plane_detector.mapping.association import reach_of
 from plane_detector.mapping.cells import Cells, are_near, resampled
 from plane_detector.mapping.heights import heights_of, squared_misfits
-from plane_detector.mapping.map_plane import MapPlane, as_planes, frames_of
+from plane_detector.mapping.map_plane import MapPlane, as_planes, centroids_of, frames_of
 from plane_detector.mapping.registration import GATE
 
 # chosen: what a robot takes for one surface; steps of 2 cm stay by chi-squared or as shown apart.
@@ -43,16 +43,16 @@ def merge_touched(planes: Sequence[MapPlane], touched: np.ndarray, up: np.ndarra
 
     """
     known, gone = {plane.label: plane for plane in planes}, {}
-    table = as_planes(planes)
-    normals, offsets, centroids = table.normals, table.offsets_m, table.centroids_m
-    own = np.flatnonzero(np.isin(table.labels, touched))
-    own = own[np.argsort(table.labels[own])]
+    frames, labels = frames_of(planes), np.array([plane.label for plane in planes], int)
+    (normals, offsets), (_, centroids) = frames.coordinates, centroids_of(planes, frames)
+    own = np.flatnonzero(np.isin(labels, touched))
+    own = own[np.argsort(labels[own])]
     away_m = np.maximum(abs(normals[own] @ centroids.T + offsets[own, None]),
                         abs(centroids[own] @ normals.T + offsets))
     close = (normals[own] @ normals.T > _MIN_COSINE) & (away_m < 2 * _MOST_DISTANCE_M)
     close[np.arange(len(own)), own] = False
     for k, other_k in np.argwhere(close).tolist():
-        label, other = int(table.labels[own[k]]), int(table.labels[other_k])
+        label, other = int(labels[own[k]]), int(labels[other_k])
         if label not in known or other not in known:
             continue
         larger, smaller = sorted((known[label], known[other]),

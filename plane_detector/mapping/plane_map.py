@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections import deque
+from collections import defaultdict, deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
@@ -23,7 +23,7 @@ from plane_detector.mapping.association import (
     fitting,
     visible,
 )
-from plane_detector.mapping.cells import Cells, View, sampled, vote
+from plane_detector.mapping.cells import Cells, View, extents, sampled, vote
 from plane_detector.mapping.heights import PlaneFrames, heights_of, with_pose_error
 from plane_detector.mapping.map_file import SavedMap, read_map, write_map
 from plane_detector.mapping.map_plane import CLASSES, MapPlane, as_planes, frames_of, new_axes
@@ -243,19 +243,21 @@ class PlaneMap:
             index, counts = visible(self.planes, all_frames, view)
             frames = all_frames.picked(index)
             sizes = image.found.areas_m2 / (2 * self.config.cell)**2
-            pairs = compare(frames, image.sharp.moved(camera), counts, sizes, correction.error,
-                            camera.translation_m)
-            points_m = _split(camera.points(image.points_m), image.ends)
-            fit = fitting(pairs, [self.planes[k] for k in index], points_m, self.up)
+            sharp = image.sharp.moved(camera)
+            pairs = compare(frames, sharp, counts, sizes, correction.error, camera.translation_m)
+            points_m = camera.points(image.points_m)
+            fit = fitting(pairs, [self.planes[k] for k in index],
+                          _split(points_m, image.ends), self.up)
             taken = assign(fit, image.apart, len(sizes))
             if not is_last:
                 evidence, shown = np.append(index, -1)[taken], np.flatnonzero(taken >= 0)
                 correction = register(prediction, image.sharp, frames.picked(taken[shown]), shown)
         beside = pairs.picked((pairs.shared > _SAME_PLACE) & (taken[pairs.new] < 0))
         total = max(image.found.counts.sum(), 1)
+        found = sharp if image.found is image.sharp else image.found.moved(camera)
         return _Attempt(
-            correction, view, image.found.moved(camera), points_m, index,
-            np.append(index, -1)[taken], evidence,
+            correction, view, all_frames, found, points_m, index, np.append(index, -1)[taken],
+            evidence,
             float(image.found.counts[taken >= 0].sum() / total),
             float(image.found.counts[np.unique(beside.new)].sum() / total))
 
@@ -285,7 +287,7 @@ class PlaneMap:
         """
         shown = np.flatnonzero(attempt.taken >= 0)
         old, place = np.unique(attempt.taken[shown], return_inverse=True)
-        frames = frames_of([planes[k] for k in old])
+        frames = attempt.frames.picked(old)
         heights, covariances, by_pose = heights_by_others(
             attempt.correction, frames.picked(place), attempt.found, shown,
             (attempt.taken == attempt.evidence)[shown])
@@ -317,7 +319,8 @@ class PlaneMap:
             return []
         found = attempt.found
         normals = found.normals[fresh]
-        middles_m = np.array([attempt.points_m[k].mean(axis=0) for k in fresh]).reshape(-1, 3)
+        points_m = _split(attempt.points_m, image.ends)
+        middles_m = np.array([points_m[k].mean(axis=0) for k in fresh]).reshape(-1, 3)
         frames = PlaneFrames(middles_m, new_axes(normals, self.up), np.zeros((len(fresh), 3)),
                              np.zeros((len(fresh), 3, 3)))
         heights, covariances, _ = heights_of(frames, found, fresh, attempt.correction.error,
@@ -331,25 +334,28 @@ class PlaneMap:
     def _vote(self, planes: list[MapPlane], attempt: _Attempt, image: _Image,
               taken: np.ndarray, labels: np.ndarray) -> None:
         """Vote the cells of the planes in view, in place."""
-        in_view = sorted({*attempt.index.tolist(), *taken[taken >= 0].tolist()})
+        in_view = np.union1d(attempt.index, taken[taken >= 0])
+        frames = frames_of([planes[k] for k in in_view])
+        own = np.where(taken >= 0, np.searchsorted(in_view, taken), -1)
+        lows_m, highs_m = extents(attempt.points_m, image.ends, own, frames)
+        borders_m = 0.05 * (highs_m - lows_m) + 2 * self.config.cell
+        lows_m, highs_m = lows_m - borders_m, highs_m + borders_m
+        others: dict[int, set[int]] = defaultdict(set)
+        for k, beside in np.argwhere(image.beside).tolist():
+            others[taken[k]].add(int(labels[beside]))
+        is_found = np.bincount(own[own >= 0], minlength=len(in_view)).tolist()
         cells, changed = [], []
-        for index in in_view:
-            plane, own = planes[index], np.flatnonzero(taken == index)
+        for k, index in enumerate(in_view.tolist()):
+            plane = planes[index]
             cells.append(plane.cells)
             changed.append({})
-            if not len(own):
-                continue
-            flat_m = plane.flat(np.concatenate([attempt.points_m[k] for k in own]))
-            low_m, high_m = flat_m.min(axis=0), flat_m.max(axis=0)
-            border_m = 0.05 * (high_m - low_m) + 2 * self.config.cell
-            cells[-1] = plane.cells.grown(low_m - border_m, high_m + border_m)
-            others = set(labels[image.beside[own].any(axis=0)].tolist()) - {0, plane.label}
-            changed[-1] = {'views': plane.views + 1, 'last_seen_s': image.stamp_s,
-                           'apart': plane.apart | others}
+            if is_found[k]:
+                cells[-1] = plane.cells.grown(lows_m[k], highs_m[k])
+                changed[-1] = {'views': plane.views + 1, 'last_seen_s': image.stamp_s,
+                               'apart': plane.apart | (others[index] - {0, plane.label})}
         steps = attempt.view.steps(
-            frames_of([planes[k] for k in in_view]),
-            np.array([one.low for one in cells]).reshape(-1, 2), self.config.cell)
-        for k, index in enumerate(in_view):
+            frames, np.array([one.low for one in cells]).reshape(-1, 2), self.config.cell)
+        for k, index in enumerate(in_view.tolist()):
             planes[index] = replace(planes[index], **changed[k], cells=vote(
                 attempt.view, steps[k], cells[k], taken == index, _TOLERANCE_M))
 
@@ -393,8 +399,9 @@ class _Image:
     def of(cls, placed: PlacedDetection, systematic: float) -> _Image:
         """Return an image with the systematic error of the sensor, 1/m."""
         detection, intrinsics = placed.detection, placed.intrinsics
-        found = found_planes(detection, intrinsics, systematic)
-        sharp = found_planes(detection, intrinsics, _LEAST_SYSTEMATIC)
+        sharp = found = found_planes(detection, intrinsics, _LEAST_SYSTEMATIC)
+        if systematic > _LEAST_SYSTEMATIC:
+            found = found_planes(detection, intrinsics, systematic)
         apart, same_side = apart_in_image(sharp)
         news = np.ones(len(found))
         if systematic > _LEAST_SYSTEMATIC:
@@ -426,8 +433,9 @@ class _Attempt:
 
     correction: Correction
     view: View
+    frames: PlaneFrames  # of all planes of the map
     found: Planes
-    points_m: list[np.ndarray]
+    points_m: np.ndarray  # (N, 3) those of the image
     index: np.ndarray  # (M,) int, planes of the map that are in view
     taken: np.ndarray  # (K,) int, plane of the map, -1 none
     evidence: np.ndarray  # (K,) int, that by which the correction was found
