@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import math
 
-import cv2
 import numpy as np
 
 from plane_detector.compilation import kernel
@@ -125,19 +124,47 @@ def _centroid(valid, top, left, side):
 
 
 def _steps(residual: np.ndarray, owner: np.ndarray) -> tuple[np.ndarray, ...]:
-    """
-    Return the steps at the left and at the upper side of each block, and the smallest of note.
-
-    A step is the sum of the blocks on one side minus that on the other side.
-    """
-    apart = np.repeat(np.float32([-1, 1]), BLOCKS // 2)
-    along = np.ones(REACH_CELLS * BLOCKS, np.float32)
-    steps, sample = [], owner[SAMPLE] >= 0
-    for sides in ((apart, along), (along, apart)):
-        steps.append(cv2.sepFilter2D(residual, -1, *sides, borderType=cv2.BORDER_REPLICATE))
-    limits = [MIN_STEP_DEVIATIONS * SIGMA_PER_MEDIAN * median(np.abs(step[SAMPLE][sample]))
-              if sample.any() else math.inf for step in steps]
+    """Return the steps at the left and the upper side of each block, and the smallest of note."""
+    steps, is_sampled = _differences(residual), owner[SAMPLE] >= 0
+    limits = [MIN_STEP_DEVIATIONS * SIGMA_PER_MEDIAN * median(np.abs(step[SAMPLE][is_sampled]))
+              if is_sampled.any() else math.inf for step in steps]
     return *steps, np.float32(limits)
+
+
+@kernel('UniTuple(float32[:, ::1], 2)(float32[:, ::1])')
+def _differences(residual):
+    """
+    Return the sum of the blocks to the right of a line minus those to the left; below and above.
+
+    Half a cell on either side, as long as REACH_CELLS; the border goes on. A third of the time of
+    OpenCV.
+    """
+    (rows, columns), reach = residual.shape, REACH_CELLS * BLOCKS // 2
+    across, down = np.empty_like(residual), np.empty_like(residual)
+    tall, flat = np.zeros(columns + 2 * reach), np.zeros(columns + 2 * reach, np.float32)
+    four = np.empty(columns + 2 * reach - BLOCKS, np.float32)
+    for v in range(-2 * reach, rows):
+        new, old = residual[min(max(v + reach - 1, 0), rows - 1)], residual[max(v - reach - 1, 0)]
+        is_full = np.float32(v >= 0)
+        for u in range(columns):
+            tall[u + reach] += new[u] - old[u] * is_full
+        if v < 0:
+            continue
+        here, below = residual[v], residual[min(v + 1, rows - 1)]
+        over, above = residual[max(v - 1, 0)], residual[max(v - 2, 0)]
+        for u in range(columns):
+            flat[u + reach] = here[u] + below[u] - over[u] - above[u]
+        for u in range(reach):
+            tall[u], tall[u + columns + reach] = tall[reach], tall[columns + reach - 1]
+            flat[u], flat[u + columns + reach] = flat[reach], flat[columns + reach - 1]
+        for u in range(columns):
+            across[v, u] = (tall[u + reach] + tall[u + reach + 1] - tall[u + reach - 1]
+                            - tall[u + reach - 2])
+        for u in range(columns + 8):
+            four[u] = flat[u] + flat[u + 1] + flat[u + 2] + flat[u + 3]
+        for u in range(columns):
+            down[v, u] = four[u] + four[u + 4] + four[u + 8]
+    return across, down
 
 
 @kernel('Tuple((int32[:, ::1], int64[::1], int64[::1], float64[::1]))(float32[:, ::1], '
