@@ -25,8 +25,8 @@ CAMERA = CameraIntrinsics.from_field_of_view(160, 120, 70.0)
 
 # Less noise than in the benchmark: at a quarter of its pixels it is as smooth as a lens error.
 @cache
-def recording(name='box', images=40):
-    return record(name, 1, 0.0002, images, CAMERA)
+def recording(name='box', images=40, variant=''):
+    return record(name, 1, 0.0002, images, CAMERA, variant)
 
 
 @pytest.mark.parametrize('kind', ['exact', 'drift', 'jitter'])
@@ -49,6 +49,15 @@ def test_a_jump_is_found_and_the_planes_move_along():
 def test_the_crate_that_went_leaves_nothing():
     result = score(recording('crate', 48), 'exact', 0)
     assert result.left == 0
+    assert result.found >= result.surfaces - 1
+
+
+def test_people_who_walk_through_leave_no_planes():
+    people = recording('crate', 48, 'people')
+    fixed = len(people.walked.surfaces) + len(people.walked.gone)
+    assert max(labels.max() for labels in people.labels) >= fixed  # images do show them
+    result = score(people, 'exact', 0)
+    assert result.of_none == result.left == 0
     assert result.found >= result.surfaces - 1
 
 
