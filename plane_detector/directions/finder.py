@@ -18,6 +18,7 @@ from plane_detector.directions.posterior import (
     collect_evidence,
     log_odds_down,
     surface_normals,
+    usual_inverse_depth,
 )
 from plane_detector.directions.temporal_filter import carried
 from plane_detector.directions.vanishing import SceneDirections, find_directions
@@ -86,13 +87,15 @@ def find_in_image(image: CameraImage, expected: Expected | None = None,
     """
     expected = expected or Expected()
     segments = detect_line_segments(image.rgb, image.intrinsics, image.covered)
-    surface = (None if image.disparity is None or image.has_shift
-               else surface_normals(image.disparity, image.intrinsics))
-    odds_down = 0.0 if image.disparity is None else log_odds_down(image.disparity, surface)
+    surface, odds_down = None, 0.0
+    if image.disparity is not None:
+        inverse = usual_inverse_depth(image.disparity) if image.has_shift else image.disparity
+        surface = surface_normals(inverse, image.intrinsics)
+        odds_down = log_odds_down(image.disparity, surface, image.has_shift)
     if before is not None:
         expected = carried(expected, before.directions, before.segments, segments)
-    return ImageDirections(segments, find_directions(
-        segments, collect_evidence(segments, surface, odds_down), expected))
+    evidence = collect_evidence(segments, None if image.has_shift else surface, odds_down)
+    return ImageDirections(segments, find_directions(segments, evidence, expected))
 
 
 @dataclass(frozen=True)

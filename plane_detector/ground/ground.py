@@ -282,7 +282,7 @@ def find_ground(found: PlaneSegmentation, depth_m: np.ndarray, intrinsics: Camer
         Its ``ground`` and ``scale.camera_height``.
     is_metric : bool
         Whether lengths are in metres. If not, the camera is taken to be 1 m above the floor for
-        the classes, and there are neither ground nor drops.
+        the classes, and there are neither ground nor drops, nor steps.
     doubt : str
         Why lengths mean nothing, which then is the note instead of drops.
 
@@ -343,8 +343,8 @@ def find_ground(found: PlaneSegmentation, depth_m: np.ndarray, intrinsics: Camer
                                              flat, steps, limits.max_step * unit_m)
     if own == len(found.planes):  # no plane of it: its pieces are measured from its level
         pixels.table[joined & flat] = pixels.table[own]
-    classes = _classes(found, surfaces, above, joined, at_level, risers, unit_m,
-                       limits.max_slope + SLOPE_MARGIN_DEG)
+    classes = _classes(found, surfaces, above, joined, at_level, risers,
+                       STEP_RANGE_M if is_metric else 0.0, limits.max_slope + SLOPE_MARGIN_DEG)
     if not is_metric:
         return Ground(classes, nothing, tilt_deg=tilt_deg,
                       note='the unit of depth is not known')
@@ -516,15 +516,15 @@ def _are_flat(depth_m: np.ndarray, labels: np.ndarray, rays: tuple[np.ndarray, n
 
 
 def _classes(found: PlaneSegmentation, surfaces: Surfaces, above: np.ndarray, joined: np.ndarray,
-             at_level: np.ndarray, risers: np.ndarray, unit_m: float,
+             at_level: np.ndarray, risers: np.ndarray, step_range_m: float,
              steepest_deg: float) -> tuple[PlaneClass, ...]:
     """Return the class of each plane."""
     classes = np.array([*classify_planes(found.planes, surfaces.down), PlaneClass.FLOOR])
     is_sure_slope = np.array([*are_certain(found.planes, surfaces.down, steepest_deg), True])
     is_level = surfaces.slopes_deg <= LEVEL_DEG
-    # Steps are reached from the ground, or from other steps.
+    # Steps are reached from the ground, or from other steps; without metres there are none.
     is_step, linked = joined.copy(), risers >= MIN_JOINS
-    near = is_level & (abs(above) <= STEP_RANGE_M * unit_m)
+    near = is_level & (abs(above) <= step_range_m)
     while (more := is_step | (near & linked[is_step].any(axis=0))).sum() > is_step.sum():
         is_step = more
     # A level plane is OTHER only if that is not certain.

@@ -313,13 +313,15 @@ def test_what_of_the_robot_itself_is_in_view_is_ignored():
 
 
 # 10. Planted errors that no test caught.
-def test_a_step_is_within_half_a_metre_also_where_the_unit_is_not_known():
-    """Without the unit the camera counts as 1 m high, whatever the unit of its depth."""
+def test_classes_without_a_unit_are_those_of_any_unit_but_for_steps():
+    """Without the unit the camera counts as 1 m high; a step is so many metres high."""
     way = course()
     way.add_box(0.0, 2.4, np.array([4.0, 1.0, 0.25]))
     view = seen(way, 1.0, 22)
     found = detect(view)
     assert PlaneClass.STEP in found.classes
+    expected = tuple(PlaneClass.OTHER_HORIZONTAL if kind == PlaneClass.STEP else PlaneClass(kind)
+                     for kind in found.classes)
     for unit in (0.1, 7.0):
         planes = found.planes
         scaled = replace(planes, offsets_m=unit * planes.offsets_m,
@@ -330,7 +332,7 @@ def test_a_step_is_within_half_a_metre_also_where_the_unit_is_not_known():
             PlaneSegmentation(scaled, found.labels, found.disparity_noise / unit),
             unit * view.depth_m, view.lens, Gravity(view.down.copy(), 1.0, 'measured'), Config(),
             is_metric=False)
-        assert ground.classes == tuple(found.classes)
+        assert ground.classes == expected
 
 
 def test_a_rough_floor_is_found_only_with_an_exact_direction_of_gravity():
