@@ -394,6 +394,16 @@ def test_of_many_calls_most_are_answered_at_once():
     assert not requests.add().done()
 
 
+def test_a_frame_from_before_a_call_does_not_answer_it():
+    requests = FrameRequests(lambda: None)
+    number = requests.accept()
+    call = requests.add()
+    requests.finish(number, True, 'before')
+    assert not call.done()
+    requests.finish(requests.accept(), True, 'after')
+    assert call.result() == (True, 'after')
+
+
 def test_a_silent_imu_is_reported(robot, room):
     start(robot, lambda rgb: room.depth_m, use_imu=True)
     for stamp_s in np.arange(1.0, 6.0, 0.25):

@@ -73,6 +73,23 @@ def test_an_image_of_another_size_waits_for_its_calibration(depth_use, stamp_s):
     assert synchronizer.take_dropped() == 0
 
 
+def test_an_image_of_another_size_does_not_wait_for_a_calibration_before_the_latest():
+    synchronizer = calibrated()
+    large = large_image(0.1)
+    assert synchronizer.add_image(large) == []
+    (frame,) = synchronizer.add_camera_info(info(0.2))
+    assert frame.image is large
+
+
+def test_images_before_the_first_calibration_are_counted():
+    synchronizer = FrameSynchronizer('required')
+    for stamp_s in (0.9, 1.0):
+        synchronizer.add_image(image(stamp_s))
+    synchronizer.add_camera_info(info(1.0))
+    assert len(synchronizer.add_depth(depth(1.0))) == 1
+    assert synchronizer.take_dropped() == 1
+
+
 def test_depth_images_of_earlier_frames_are_not_kept():
     """At most those of the last frame and of the one before, whose image may come again later."""
     synchronizer = calibrated(depth='required')

@@ -71,6 +71,8 @@ def test_gravity_and_height_of_the_camera():
     pose = transforms.camera_pose(header(1.5), NodeConfig(base_frame='base_footprint'))
     np.testing.assert_allclose(pose.gravity_camera, [0, 1, 0], atol=1e-9)
     assert pose.height_m == pytest.approx(0.9)
+    below = FrameTransforms(robot_buffer(height_m=-0.9))
+    assert below.camera_pose(header(1.5), NodeConfig(base_frame='base_footprint')).height_m is None
     sideways = NodeConfig(base_frame='base_footprint', base_up=(0.0, 2.0, 0.0))
     np.testing.assert_allclose(transforms.camera_pose(header(1.5), sideways).gravity_camera,
                                [1, 0, 0], atol=1e-9)

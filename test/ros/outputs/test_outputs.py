@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Every output but the markers, read as a subscriber does, beside plain numpy."""
 
+import json
 from dataclasses import replace
 
 import cv2
@@ -14,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from plane_detector.drawing import label_colours, plane_colours
 from plane_detector.ros.outputs.messages import read_cloud
 from plane_detector.ros.outputs.topics import OUTPUTS
-from plane_detector.types import NO_PLANES, Detection, GroundPixels, ShapeType
+from plane_detector.types import NO_PLANES, Detection, GroundPixels, PlaneClass, ShapeType
 
 BOTH_FRAMES = pytest.mark.parametrize('to_target', [None, scene.TARGET], ids=['camera', 'target'])
 PIXEL_LABELS = np.vectorize(scene.MESSAGE_LABELS.get)(scene.depth_and_labels()[1])
@@ -265,3 +266,17 @@ def test_without_a_plane_the_clouds_are_empty_and_have_their_fields():
     assert make('plane_poses', found=nothing).poses == []
     assert not image_array(make('labels', found=nothing), '<u2').any()
     assert not cloud_array(make('points', found=nothing))['label'].any()
+
+
+def test_planes_as_json():
+    found = json.loads(OUTPUTS['planes_json'].make(scene.frame()).data)['planes']
+    rows = cloud_array(OUTPUTS['planes'].make(scene.frame()))[0]
+    for plane, row in zip(found, rows, strict=True):
+        assert plane['class'] == PlaneClass(row['class']).readable
+        for names, fields in (('label num_inliers d rms area confidence', ''),
+                              ('width height', 'rect_')):
+            for name in names.split():
+                assert plane[name] == pytest.approx(float(row[fields + name]), abs=1e-4), name
+        assert plane['normal'] == pytest.approx([float(row[f'normal_{a}']) for a in 'xyz'],
+                                                abs=1e-4)
+        assert plane['centroid'] == pytest.approx([float(row[a]) for a in 'xyz'], abs=1e-4)
