@@ -155,13 +155,28 @@ def test_a_steep_wall_is_a_plane_although_pixels_see_aside():
 
 
 @pytest.mark.parametrize(('case', 'seed'), [
-    ('low stereo', 504), ('filtered', 501), ('filtered', 304), ('filtered', 300)])
+    ('low stereo', 504), ('filtered', 501), ('filtered', 304), ('filtered', 300),
+    ('albedo', 501), ('albedo', 503)])
 def test_the_largest_surface_of_a_sensor_stays_one_plane(case, seed):
     scene, depth_m = SENSOR_CASES[case](np.random.default_rng(seed))
     found = segment_planes(depth_m, scene.intrinsics)
     largest = np.bincount(scene.labels[scene.labels >= 0]).argmax()
     names = found.labels[(scene.labels == largest) & np.isfinite(depth_m)]
     assert np.bincount(names[names >= 0]).max() > 0.8 * len(names)
+
+
+def test_noise_is_local_where_a_dark_carpet_has_more():
+    """The noise of the image is that of the quiet half, that of the other belongs to its cells."""
+    rng, sigma_m = np.random.default_rng(0), np.full(WALL.depth_m.shape, 0.001)
+    sigma_m[240:] = 0.012
+    noisy_m = WALL.depth_m + sigma_m * rng.standard_normal(sigma_m.shape)
+    noise = noise_of(noisy_m)
+    assert noise.own_share == pytest.approx(1.0, abs=0.1)
+    assert noise.pixel_sigma < 0.002 * np.median(1 / WALL.depth_m) ** 2
+    labels = segment_planes(noisy_m.astype(np.float32), WALL.intrinsics).labels
+    assert (labels[240:] == 0).mean() > 0.9
+    everywhere = WALL.depth_m + 0.012 * rng.standard_normal(sigma_m.shape)
+    assert noise_of(everywhere).own_share == 0.0
 
 
 def test_a_door_that_is_not_yet_apart_is_no_noise():

@@ -10,7 +10,7 @@ read no pixels until the labels return to full resolution.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -83,6 +83,9 @@ class CellGrid:
     normal_slope: np.ndarray
     # (4,) float64: focal lengths along x and y, and x and y of the principal point
     lens: np.ndarray
+    # (R * C,) float64: half the mean squared difference of neighbouring pixels in and around the
+    # cell, see :func:`~plane_detector.segmentation.cells.noise.roughness_of`; (0,) if not measured
+    roughness: np.ndarray = field(default_factory=lambda: np.empty(0))
 
     @cached_property
     def typical_disparity(self) -> float:

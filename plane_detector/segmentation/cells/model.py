@@ -17,8 +17,10 @@ from plane_detector.segmentation.cells.noise import MAX_STEEPNESS, DepthKind, No
 from plane_detector.segmentation.cells.plane_fit import N, add_moments, fit_planes
 
 # derived: columns of WeightedCells.table: means of x, y and d, dd/dx and dd/dy, the inverse
-# variances of these means and slopes, and the expected squared error of the pixels about a plane.
-MEAN_X, MEAN_Y, MEAN_D, SLOPE_X, SLOPE_Y, MEAN_WEIGHT, SLOPE_WEIGHT, SQUARED_ERROR = range(8)
+# variances of these means and slopes, the expected squared error of the pixels about a plane, and
+# how many times the variance of the image's noise a cell has.
+(MEAN_X, MEAN_Y, MEAN_D, SLOPE_X, SLOPE_Y, MEAN_WEIGHT, SLOPE_WEIGHT, SQUARED_ERROR,
+ LOCAL_RATIO) = range(9)
 # A cell whose pixels deviate from its own plane by more than two sigma straddles an edge.
 # tuned: benchmark sensitivity; flat to 1.4 times; at 0.7 times recall -0.011.
 MAX_PIXEL_VARIANCES = 4.0
@@ -32,6 +34,9 @@ MAX_JOINT_VARIANCES = 2.0
 # tuned: 16 frames of today's sensors: SC .957 with 4 px in the tilt, .942 with 1 px in it, .956
 # with half in it; NYU frames .904 at 1 px, .911 to .915 from 2 to 9; ABW 12.9 from 1 to 4.
 LATERAL_WINDOW_PX = 4.0
+# A cell has at most so many times the variance of the image's noise: sensors lose what is darker.
+# chosen: a twentieth of the amplitude is twenty times the noise (Foix et al. 2011).
+MAX_LOCAL_RATIO = 400.0
 # derived: avoids division by 0 for cells without depth; any positive number works.
 MIN_VARIANCE = 1e-30
 
@@ -42,9 +47,9 @@ class WeightedCells:
 
     grid: CellGrid
     is_planar: np.ndarray  # (R * C,) bool: the cell lies on one plane
-    # (R * C, 8) float64: mean x, y and d, slope along x and y, the weights of mean and slope, and
-    # the expected squared error of the cell's pixels about the plane of a larger region. See
-    # MEAN_X
+    # (R * C, 9) float64: mean x, y and d, slope along x and y, the weights of mean and slope, the
+    # expected squared error of the cell's pixels about the plane of a larger region, and the ratio
+    # of its noise to that of the image. See MEAN_X
     table: np.ndarray
 
     @cached_property
@@ -69,26 +74,29 @@ def weigh_cells(grid: CellGrid, noise: Noise) -> WeightedCells:
     n = s * s pixels it tilts a least-squares plane by sqrt(12 / n) / s per pixel. Neighbouring
     pixels have the same quantisation error, which tilts a cell as a whole. The variance of far
     cells is at least that of the error which near cells leave in a common plane. The lateral noise
-    is that of a pixel, times the slope; the pixels of a window share it.
+    is that of a pixel, times the slope; the pixels of a window share it. Where neighbouring pixels
+    differ by more than the noise of the image, as on dark surfaces in time of flight, the pixel
+    noise is what they show, and the smooth noise is larger by the same ratio.
     """
     size = grid.size_px / grid.width_px
     squares = (noise.mean_sigma**2, noise.slope_sigma**2, noise.pixel_sigma**2,
                noise.depth_floor_m**2, noise.disparity_floor**2,
                (noise.disparity_floor / size)**2, (noise.lateral_px / grid.width_px)**2,
                (MAX_STEEPNESS / grid.lens[0])**2,
-               1 + noise.lateral_shared * (LATERAL_WINDOW_PX**2 - 1))
+               1 + noise.lateral_shared * (LATERAL_WINDOW_PX**2 - 1), noise.bending**-2,
+               1 / noise.own_share if noise.own_share > 0 and len(grid.roughness) else 0.0)
     table, is_planar = _weigh((grid.moments, grid.mean, grid.slope, grid.sparsity),
-                              grid.residual_rms, grid.usable, squares,
+                              (grid.residual_rms, grid.roughness), grid.usable, squares,
                               12 / (grid.size_px * size) ** 2)
     return WeightedCells(grid, is_planar, table)
 
 
-@kernel('Tuple((float64[:, ::1], boolean[::1]))(UniTuple(float64[:, ::1], 4), float64[::1], '
-        'boolean[::1], UniTuple(float64, 9), float64)', is_short=True)
-def _weigh(cells, residual_rms, usable, squares, per_slope):
+@kernel('Tuple((float64[:, ::1], boolean[::1]))(UniTuple(float64[:, ::1], 4), '
+        'UniTuple(float64[::1], 2), boolean[::1], UniTuple(float64, 11), float64)', is_short=True)
+def _weigh(cells, pixels, usable, squares, per_slope):
     """Return the table of the cells and which of them are planar."""
-    moments, mean, slope, sparsity = cells
-    table, is_planar = np.zeros((len(usable), 8)), np.zeros(len(usable), np.bool_)
+    (moments, mean, slope, sparsity), (residual_rms, roughness) = cells, pixels
+    table, is_planar = np.zeros((len(usable), 9)), np.zeros(len(usable), np.bool_)
     of_plane, filled = 0.0, 0
     for i in range(len(usable)):
         of_plane += mean[i, 2] ** 4
@@ -103,11 +111,18 @@ def _weigh(cells, residual_rms, usable, squares, per_slope):
         floor = squares[3] * mean[i, 2] ** 4 + squares[4] + of_plane
         tilt = min(slope[i, 0] ** 2 + slope[i, 1] ** 2, squares[7] * mean[i, 2] ** 2)
         lateral = squares[6] * tilt
-        of_mean = (squares[0] + floor + squares[2] * sparsity[i, 0]
+        excess = 0.0
+        if squares[10] > 0:
+            shown = ((roughness[i] * squares[10] - floor - lateral)
+                     / max(squares[2], MIN_VARIANCE))
+            excess = min(max(shown, 1.0), MAX_LOCAL_RATIO) - 1
+        table[i, LOCAL_RATIO] = 1 + excess
+        local, of_pixel = 1 + excess * squares[9], squares[2] * (1 + excess)
+        of_mean = (squares[0] * local + floor + of_pixel * sparsity[i, 0]
                    + lateral * min(squares[8] / moments[i, N], 1.0))
-        of_slope = (squares[1] + floor * per_slope + squares[5] + squares[2] * sparsity[i, 1]
+        of_slope = (squares[1] * local + floor * per_slope + squares[5] + of_pixel * sparsity[i, 1]
                     + lateral * squares[8]**0.5 * (per_slope + sparsity[i, 1]))
-        of_pixel = squares[2] + floor + lateral
+        of_pixel += floor + lateral
         table[i, MEAN_WEIGHT] = 1 / max(of_mean, MIN_VARIANCE)
         table[i, SLOPE_WEIGHT] = 1 / max(of_slope, MIN_VARIANCE)
         table[i, SQUARED_ERROR] = (of_mean + of_pixel) * moments[i, N]

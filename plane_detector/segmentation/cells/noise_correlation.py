@@ -18,6 +18,7 @@ import numpy as np
 from plane_detector.compilation import kernel
 from plane_detector.geometry.robust import SIGMA_PER_MEDIAN, median
 from plane_detector.segmentation.cells.model import (
+    LOCAL_RATIO,
     MEAN_X,
     MEAN_Y,
     PlaneRegions,
@@ -247,12 +248,13 @@ def bending_of(model: WeightedCells, regions: PlaneRegions, noise: Noise) -> flo
 @kernel('float64[::1](int32[:, ::1], float64[:, ::1], float64[:, ::1], boolean[::1])',
         is_short=True)
 def _residuals(labels, planes, table, is_used):
-    """Return the residuals of the used cells about the planes of their regions, NaN elsewhere."""
+    """Return the residuals about the planes of their regions, NaN of cells that are not used."""
     residuals, label = np.full(labels.size, np.nan), labels.reshape(-1)
     for i in range(labels.size):
         if is_used[i]:
             k = label[i]
-            residuals[i] = residual(table, i, planes[k, 0], planes[k, 1], planes[k, 2])
+            residuals[i] = (residual(table, i, planes[k, 0], planes[k, 1], planes[k, 2])
+                            * table[i, LOCAL_RATIO] ** -0.5)
     return residuals
 
 

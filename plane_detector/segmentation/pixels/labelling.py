@@ -18,7 +18,7 @@ import numpy as np
 
 from plane_detector.compilation import kernel
 from plane_detector.segmentation.cells.labels import at_borders
-from plane_detector.segmentation.cells.model import Frame
+from plane_detector.segmentation.cells.model import LOCAL_RATIO, Frame
 from plane_detector.segmentation.cells.noise import DepthKind
 from plane_detector.segmentation.regions.region_graph import MAX_DEVIATIONS, RegionGraph
 from plane_detector.segmentation.search.plane_search import sees_creases
@@ -68,7 +68,7 @@ def _label_cells(frame: Frame, graph: RegionGraph, output: tuple[np.ndarray, int
     """Write labels of pixels, counted from the given number on; from 0 on, of all pixels."""
     grid = frame.grid
     _label(output, (disparity, frame.image.valid, grid.size_px),
-           (graph.labels, at_borders(graph.labels, 1)),
+           (graph.labels, at_borders(graph.labels, 1)), frame.cells.table,
            (grid.planes_in_pixels(graph.planes), graph.intersections()), pixel_tolerance(frame),
            sweeps)
 
@@ -82,9 +82,9 @@ def pixel_tolerance(frame: Frame) -> tuple[float, float, float]:
 
 
 @kernel('void(Tuple((int32[:, ::1], int64)), Tuple((float32[:, ::1], boolean[:, ::1], int64)), '
-        'Tuple((int32[:, ::1], boolean[:, ::1])), Tuple((float64[:, ::1], int8[:, ::1])), '
-        'UniTuple(float64, 3), int64)')
-def _label(output, image, cells, planes, tolerance, sweeps):
+        'Tuple((int32[:, ::1], boolean[:, ::1])), float64[:, ::1], '
+        'Tuple((float64[:, ::1], int8[:, ::1])), UniTuple(float64, 3), int64)')
+def _label(output, image, cells, table, planes, tolerance, sweeps):
     """Write the label of every valid pixel, given the labels of cells and those at borders."""
     (found, shift), (disparity, valid, size), (labels, is_open) = output, image, cells
     (height, width), columns, extent = disparity.shape, labels.shape[1], (0, 0)
@@ -108,7 +108,8 @@ def _label(output, image, cells, planes, tolerance, sweeps):
             for p in range(len(chosen)):
                 pixels[2, p] = values[first + offset[p]]
             _move_planes(planes[0], near, (top, left), local)
-            _choose_nearest(pixels, chosen, near, local, tolerance)
+            of_cell = tolerance[0] * table[cell, LOCAL_RATIO], tolerance[1], tolerance[2]
+            _choose_nearest(pixels, chosen, near, local, of_cell)
             _choose_sides(pixels, chosen, near, local, planes[1])
             for p in range(len(chosen)):
                 if is_valid[first + offset[p]]:

@@ -24,12 +24,21 @@ import numpy as np
 from plane_detector.compilation import kernel
 from plane_detector.geometry.robust import SIGMA_PER_MEDIAN, median
 from plane_detector.segmentation.cells.grid import CellGrid
-from plane_detector.segmentation.cells.model import SLOPE_X, SLOPE_Y, Frame, PlaneRegions, residual
+from plane_detector.segmentation.cells.model import (
+    LOCAL_RATIO,
+    SLOPE_X,
+    SLOPE_Y,
+    Frame,
+    PlaneRegions,
+    residual,
+)
 from plane_detector.segmentation.cells.noise import (
     Noise,
     estimate_noise,
+    roughness_of,
     sample_cells,
     with_lateral_noise,
+    with_local_noise,
 )
 from plane_detector.segmentation.cells.noise_correlation import (
     MAX_BENDING,
@@ -58,9 +67,11 @@ def search_planes(frame: Frame) -> tuple[Frame, PlaneRegions]:
     The floors and the ``source_sigma`` of the noise given bound the noise from below.
     """
     grid, most = frame.grid, frame.config.segmentation.max_planes
-    noise = with_lateral_noise(estimate_noise(grid, frame.noise), grid, frame.image)
+    roughness = roughness_of(frame.image, grid)
+    noise = with_lateral_noise(estimate_noise(grid, frame.noise), grid, roughness)
+    noise, grid = with_local_noise(noise, grid, roughness)
     noise = noise.with_smooth_part(START_SHARE * noise.mean_sigma, noise.slope_sigma)
-    frame, floor = replace(frame, noise=noise), sys.float_info.min
+    frame, floor = replace(frame, grid=grid, noise=noise), sys.float_info.min
     floor += math.sqrt(noise.variance_floor(grid.typical_disparity))
     best, trial = -math.inf, frame
     for _ in range(MAX_TRIALS):
@@ -98,8 +109,9 @@ def _noise_from_planes(frame: Frame, regions: PlaneRegions) -> Noise:
     if not len(cells):
         return frame.noise
     moduli, tilt = _deviations(regions.labels, planes, frame.cells.table, cells)
+    local = frame.cells.table[cells, LOCAL_RATIO]
     sigmas = (SIGMA_PER_MEDIAN * median(moduli), SIGMA_PER_MEDIAN * median(tilt),
-              median(grid.residual_rms[cells]))
+              median(grid.residual_rms[cells] / np.sqrt(local)))
     return frame.noise.from_cells(sigmas, grid.sparsity.take(cells, 0))
 
 
@@ -110,8 +122,10 @@ def _deviations(labels, planes, table, cells):
     moduli, tilt, label = np.empty(len(cells)), np.empty(2 * len(cells)), labels.reshape(-1)
     for m, i in enumerate(cells):
         a, b, c = planes[label[i], 0], planes[label[i], 1], planes[label[i], 2]
-        moduli[m] = abs(residual(table, i, a, b, c))
-        tilt[2 * m], tilt[2 * m + 1] = abs(table[i, SLOPE_X] - a), abs(table[i, SLOPE_Y] - b)
+        per = table[i, LOCAL_RATIO] ** -0.5
+        moduli[m] = per * abs(residual(table, i, a, b, c))
+        tilt[2 * m] = per * abs(table[i, SLOPE_X] - a)
+        tilt[2 * m + 1] = per * abs(table[i, SLOPE_Y] - b)
     return moduli, tilt
 
 
