@@ -344,7 +344,8 @@ def find_ground(found: PlaneSegmentation, depth_m: np.ndarray, intrinsics: Camer
     if own == len(found.planes):  # no plane of it: its pieces are measured from its level
         pixels.table[joined & flat] = pixels.table[own]
     classes = _classes(found, surfaces, above, joined, at_level, risers,
-                       STEP_RANGE_M if is_metric else 0.0, limits.max_slope + SLOPE_MARGIN_DEG)
+                       STEP_RANGE_M if is_metric else 0.0, limits.max_slope + SLOPE_MARGIN_DEG,
+                       own if is_metric else -1)
     if not is_metric:
         return Ground(classes, nothing, tilt_deg=tilt_deg,
                       note='the unit of depth is not known')
@@ -517,7 +518,7 @@ def _are_flat(depth_m: np.ndarray, labels: np.ndarray, rays: tuple[np.ndarray, n
 
 def _classes(found: PlaneSegmentation, surfaces: Surfaces, above: np.ndarray, joined: np.ndarray,
              at_level: np.ndarray, risers: np.ndarray, step_range_m: float,
-             steepest_deg: float) -> tuple[PlaneClass, ...]:
+             steepest_deg: float, own: int) -> tuple[PlaneClass, ...]:
     """Return the class of each plane."""
     classes = np.array([*classify_planes(found.planes, surfaces.down), PlaneClass.FLOOR])
     is_sure_slope = np.array([*are_certain(found.planes, surfaces.down, steepest_deg), True])
@@ -530,6 +531,8 @@ def _classes(found: PlaneSegmentation, surfaces: Surfaces, above: np.ndarray, jo
     # A level plane is OTHER only if that is not certain.
     classes[is_step & ~joined & (classes != PlaneClass.OTHER)] = PlaneClass.STEP
     classes[joined & ~at_level & ~is_level & is_sure_slope] = PlaneClass.RAMP
+    # What the robot stands on is ground, however uncertain its orientation; so it is floor.
+    is_sure_slope[own] = True
     classes[at_level & is_sure_slope] = PlaneClass.FLOOR
     return tuple(PlaneClass(kind) for kind in classes[:-1])
 

@@ -69,20 +69,27 @@ def test_a_class_needs_the_certainty_of_the_orientation(one, certainty, is_known
     assert (kind == PlaneClass.OTHER) is not is_known
 
 
-def test_a_level_surface_of_uncertain_orientation_is_no_step():
+def test_of_uncertain_orientation_the_own_floor_is_floor_and_a_level_surface_no_step():
     rng = np.random.default_rng(3)
     terrain = look(stairs(rng, 2.0, 1), View(1.0, 25.0, roll_deg=3.0), rng)
     scene = terrain.scene
     found = PlaneDetector(Config(depth=DepthConfig(source='topic'))).detect(
         scene.rgb, scene.intrinsics, scene.depth_m, scene.gravity_camera)
     steps = [k for k, kind in enumerate(found.classes) if kind == PlaneClass.STEP]
+    floor = list(found.classes).index(PlaneClass.FLOOR)
     assert steps
-    certainties = np.where(np.arange(len(found.planes)) == steps[0], 0.8, 1.0)
-    planes = replace(found.planes, class_certainties=certainties)
-    again = find_ground(replace(found, planes=planes), found.depth_m, scene.intrinsics,
-                        Gravity(scene.gravity_camera, 1.0, 'measured'), Config())
-    assert again.classes[steps[0]] == PlaneClass.OTHER
-    assert all(again.classes[k] == PlaneClass.STEP for k in steps[1:])
+
+    def again(doubtful, *, is_metric=True):
+        certainties = np.where(np.arange(len(found.planes)) == doubtful, 0.8, 1.0)
+        planes = replace(found.planes, class_certainties=certainties)
+        return find_ground(replace(found, planes=planes), found.depth_m, scene.intrinsics,
+                           Gravity(scene.gravity_camera, 1.0, 'measured'), Config(),
+                           is_metric=is_metric).classes
+
+    assert again(steps[0])[steps[0]] == PlaneClass.OTHER
+    assert all(again(steps[0])[k] == PlaneClass.STEP for k in steps[1:])
+    assert again(floor)[floor] == PlaneClass.FLOOR
+    assert again(floor, is_metric=False)[floor] == PlaneClass.OTHER
 
 
 def test_pieces_of_one_ceiling_are_all_ceiling():
