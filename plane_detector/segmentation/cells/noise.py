@@ -265,10 +265,12 @@ def with_local_noise(noise: Noise, grid: CellGrid,
     if noise.source_sigma > 0 or not len(cells):
         return noise, grid
     share = min(median(roughness[cells] / grid.residual_rms[cells] ** 2), 1.0)
-    around = least_around(roughness, usable, grid.shape[1])
     least = share * LOCAL_RATIO * (noise.pixel_sigma**2 + noise.variance_floor(grid.mean[:, 2]))
-    if (share < MIN_OWN_SHARE or np.count_nonzero(usable & (around > least))
-            < MIN_LOCAL_SHARE * np.count_nonzero(usable)):
+    fewest = MIN_LOCAL_SHARE * np.count_nonzero(usable)
+    if share < MIN_OWN_SHARE or np.count_nonzero(usable & (roughness > least)) < fewest:
+        return noise, grid  # those around a cell lower it only
+    around = least_around(roughness, usable, grid.shape[1])
+    if np.count_nonzero(around > least) < fewest:
         return noise, grid
     return replace(noise, own_share=share), replace(grid, roughness=around)
 
