@@ -156,7 +156,7 @@ def test_a_steep_wall_is_a_plane_although_pixels_see_aside():
 
 @pytest.mark.parametrize(('case', 'seed'), [
     ('low stereo', 504), ('filtered', 501), ('filtered', 304), ('filtered', 300),
-    ('albedo', 501), ('albedo', 503)])
+    ('albedo', 501), ('albedo', 503), ('terraces', 500), ('bowed', 502)])
 def test_the_largest_surface_of_a_sensor_stays_one_plane(case, seed):
     scene, depth_m = SENSOR_CASES[case](np.random.default_rng(seed))
     found = segment_planes(depth_m, scene.intrinsics)

@@ -9,7 +9,8 @@ meet at the border without a step and at a small angle. Four tests differ in sur
 - coplanar: a joint plane fits both within the noise;
 - a bulge: the smaller region is near the plane of the larger;
 - flat within the settings: a concrete floor that dips by a degree or two is several planes in
-  exact depth; a joint plane fits it within a tolerance in metres and one in degrees;
+  exact depth; a joint plane fits it within a tolerance in metres and one in degrees. Unequal parts
+  of one bow have a gap between their planes: there a joint quadric must fit as well as these;
 - bowed: networks bend walls; a slightly bent quadric fits as well as the two planes.
 
 Regions whose normals differ are two planes, however well one plane fits their depth.
@@ -51,7 +52,7 @@ from plane_detector.segmentation.cells.plane_fit import (
     normal_of,
     squared_error,
 )
-from plane_detector.segmentation.regions.curved import MIN_NOISE_SHARE, fit_quadric
+from plane_detector.segmentation.regions.curved import MAX_RATIO, MIN_NOISE_SHARE, fit_quadric
 from plane_detector.segmentation.regions.model_selection import prefer_two_planes
 from plane_detector.segmentation.regions.region_graph import (
     MAX_DEVIATIONS,
@@ -249,7 +250,11 @@ def _misfits(planes, sums, borders, lens, test):
             fold_deg, gap = 0.0, 0.0
             if np.isfinite(max_fold_deg):
                 fold_deg, gap = fold(planes, sums, borders, lens, i, j)
-            if gap < max_gap and fold_deg <= max_fold_deg:
+            is_one = fold_deg <= max_fold_deg
+            if is_one and gap >= max_gap:
+                is_one = (surface == PLANE_M and fit_quadric(sums[i], sums[j],
+                                                             MIN_NOISE_SHARE)[2] < MAX_RATIO)
+            if is_one:
                 misfit[i, j] = _joint_misfit(sums, lens, i, j, joint, surface) / tolerance
             if surface == PLANE:
                 large, small = (i, j) if sums[i, N] >= sums[j, N] else (j, i)
