@@ -101,7 +101,7 @@ def test_walls_in_waves_are_one_plane_each():
         scene = room(seed)
         depth_m = noisy_depth(scene, 'time of flight', seed)
         found.append(scored(scene, segment_planes(depth_m, scene.intrinsics)))
-    assert np.mean([score.segmentation_covering for score in found]) > 0.9
+    assert min(score.segmentation_covering for score in found) > 0.9
 
 
 def test_rough_noise_bends_planes_by_millimetres_at_least():
