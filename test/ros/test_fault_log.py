@@ -63,8 +63,7 @@ def test_a_persistent_fault_is_logged_again(log, lines, monkeypatch):
 
 
 def test_the_number_of_waiting_clicks_is_limited(monkeypatch):
-    monkeypatch.setattr(point_query, 'qos', SimpleNamespace(output_profile=lambda: None,
-                                                            overriding_options=lambda: None))
+    monkeypatch.setattr(point_query.qos, 'overriding_options', lambda: None)
     subscribed = []
     node = SimpleNamespace(
         create_lifecycle_publisher=lambda *_, **__: SimpleNamespace(is_activated=True),
