@@ -261,7 +261,8 @@ class PlaneDetector:
                 shape_labels)
         return Detection(planes.planes, labels, planes.disparity_noise,
                          systematic_noise=planes.systematic_noise, depth_m=depth_m,
-                         scale_method=scale.unit_method, scale_note=str(scale),
+                         scale_method=scale.unit_method, is_measured=seen.is_measured,
+                         scale_note=str(scale),
                          scale_event=state.scale.event, shapes=shapes,
                          shape_labels=shape_labels, shape_note=shape_note,
                          gravity_camera=around.gravity.gravity_camera,

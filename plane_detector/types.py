@@ -403,6 +403,8 @@ class Detection(PlaneSegmentation):
 
     depth_m: np.ndarray  # (H, W) float32, NaN invalid; in the unit by ``scale_method``
     scale_method: str  # ``metric``, ``fixed``, ...: metres; ``relative``: in an unknown unit
+    # The depth is of a sensor, not of a network.
+    is_measured: bool = field(default=True, kw_only=True)
     stage_seconds: Mapping[str, float] = field(default_factory=dict)
     scale_note: str = ''  # result of the scale method with its uncertainty, or why there is none
     scale_event: str = ''  # what changed with this image, if anything

@@ -62,14 +62,18 @@ class PlaneFrames:
 
 
 def with_pose_error(planes: Planes, error: np.ndarray, centre_m: np.ndarray) -> Planes:
-    """Add the error of a pose to the covariances of planes, see :func:`heights_of`."""
+    """
+    Add the error of a pose to the covariances of planes, see :func:`heights_of`.
+
+    The centre is one (3,) for all, or one for each (K, 3).
+    """
     jacobian = np.zeros((len(planes), 4, 6))
     x, y, z = planes.normals.T
     # A small rotation w changes the normal by w x n.
     jacobian[:, 0, 1], jacobian[:, 0, 2] = z, -y
     jacobian[:, 1, 0], jacobian[:, 1, 2] = -z, x
     jacobian[:, 2, 0], jacobian[:, 2, 1] = y, -x
-    jacobian[:, 3, :3] = -(centre_m @ jacobian[:, :3, :3])
+    jacobian[:, 3, :3] = -(centre_m[..., None, :] @ jacobian[:, :3, :3])[:, 0]
     jacobian[:, 3, 3:] = -planes.normals
     return replace(planes, covariances=planes.covariances
                    + jacobian @ error @ jacobian.transpose(0, 2, 1))

@@ -54,6 +54,11 @@ SMOOTHING = 0.95
 _RECENT = 20
 # chosen: a view counts at least so much, however large the systematic error of the sensor is.
 _LEAST_NEWS = 0.1
+# What a network's depth is off and no residual shows, the same over a plane and in the next ones:
+# standard deviations of its distance, as a share, and of its normal about each axis.
+# tuned: FastDepth on the odd images of kinect_walk, error over stated deviation of the distance,
+# median: .15 1.8, .2 1.5; .1 with 3 degrees 2.7 (docs/results.md, "The map of planes").
+_NETWORK_SHARE, _NETWORK_TILT_RAD = 0.2, np.radians(5.0)
 # A view counts fully if the camera has moved this far since the last image.
 _MOVED_M, _TURNED_RAD = 0.05, np.radians(3.0)
 # A plane becomes one of the map if its normal is known within this.
@@ -266,8 +271,7 @@ class PlaneMap:
         """Return the planes after an image, the label of each found plane, and whether full."""
         planes, taken = list(self.planes), attempt.taken.copy()
         self._relative = self._fuse(planes, attempt, image, weight)
-        tilt_rad = np.sqrt(np.einsum('kii->k', attempt.found.covariances[:, :3, :3]))
-        is_new = (taken < 0) & (tilt_rad < _MOST_TILT_RAD)
+        is_new = (taken < 0) & image.is_clear
         is_full = bool(is_new.sum() + len(planes) > MOST_PLANES)
         fresh = np.flatnonzero(is_new)[:max(MOST_PLANES - len(planes), 0)]
         taken[fresh] = len(planes) + np.arange(len(fresh))
@@ -394,6 +398,7 @@ class _Image:
     ends: np.ndarray  # (K + 1,) int, where those of each begin and end
     noise: float  # standard deviation of the disparity, 1/m
     news: np.ndarray  # (K,) how much a view of each counts for the sum over views
+    is_clear: np.ndarray  # (K,) bool, the normal is known well enough for a plane of the map
 
     @classmethod
     def of(cls, placed: PlacedDetection, systematic: float) -> _Image:
@@ -403,14 +408,20 @@ class _Image:
         if systematic > _LEAST_SYSTEMATIC:
             found = found_planes(detection, intrinsics, systematic)
         apart, same_side = apart_in_image(sharp)
+        is_clear = np.sqrt(found.normal_variances) < _MOST_TILT_RAD
+        noise = np.hypot(detection.disparity_noise, systematic)
         news = np.ones(len(found))
-        if systematic > _LEAST_SYSTEMATIC:
+        if not detection.is_measured and len(found):
+            # It differs from image to image, too.
+            sharp = found = _with_network_error(found)
+            noise = np.hypot(noise, _NETWORK_SHARE * np.nanmedian(1 / detection.depth_m))
+        if systematic > _LEAST_SYSTEMATIC or not detection.is_measured:
             # A systematic error is the same in the next views: it does not average out.
             share = detection.planes.covariances[:, 3, 3] / found.covariances[:, 3, 3]
             news = np.maximum(share, _LEAST_NEWS)
         return cls(placed, found, sharp, apart, apart & same_side,
                    *sampled(detection.labels, found, intrinsics, _ROWS),
-                   float(np.hypot(detection.disparity_noise, systematic)), news)
+                   float(noise), news, is_clear)
 
     @property
     def stamp_s(self) -> float:
@@ -465,6 +476,14 @@ def found_planes(detection: Detection, intrinsics: CameraIntrinsics, systematic:
     jacobian = systematic * by_m @ by_error
     return replace(planes, covariances=planes.covariances
                    + jacobian @ jacobian.transpose(0, 2, 1))
+
+
+def _with_network_error(planes: Planes) -> Planes:
+    """Add what a network is off: a turn about the centroid, and a share of the distance."""
+    turn = np.diag([_NETWORK_TILT_RAD**2] * 3 + [0.0] * 3)
+    covariances = with_pose_error(planes, turn, planes.centroids_m).covariances
+    covariances[:, 3, 3] += (_NETWORK_SHARE * planes.offsets_m) ** 2
+    return replace(planes, covariances=covariances)
 
 
 def _split(values: np.ndarray, ends: np.ndarray) -> list[np.ndarray]:

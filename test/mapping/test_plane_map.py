@@ -135,6 +135,24 @@ def test_a_systematic_error_does_not_average_out():
     assert deviations[1] > 0.5 * deviations[0]
 
 
+def test_planes_of_a_network_do_not_move_the_pose_and_are_stated_as_uncertain():
+    moved_m, counts, deviations_m = [], [], []
+    for is_measured in (True, False):
+        planes, rng = PlaneMap(), np.random.default_rng(0)
+        for k, found in enumerate(recording().detections):
+            # The poses are exact; the scale of each image is off by a tenth.
+            scale = float(np.exp(rng.normal(0.0, 0.1)))
+            found = replace(found, is_measured=is_measured, depth_m=scale * found.depth_m,
+                            planes=found.planes.moved(RigidTransform.identity(), scale))
+            planes.update(PlacedDetection(found, CAMERA, recording().walked.poses[k], 0.1 * k))
+        moved_m.append(planes.correction.size()[0])
+        counts.append(len(planes.planes))
+        deviations_m.append(np.median([plane.covariance[2, 2] ** 0.5 for plane in planes.planes]))
+    assert moved_m[0] > 0.2 and moved_m[1] < 0.03
+    assert counts[1] < 0.7 * counts[0]
+    assert deviations_m[0] < 0.02 and deviations_m[1] > 0.2
+
+
 def test_a_leaf_before_its_wall_is_another_plane_however_much_the_sensor_bends_them():
     wall_m = np.full((CAMERA.height, CAMERA.width), 2.5, np.float32)
     leaf_m = wall_m.copy()
