@@ -153,6 +153,14 @@ def test_planes_of_a_network_do_not_move_the_pose_and_are_stated_as_uncertain():
     assert deviations_m[0] < 0.02 and deviations_m[1] > 0.2
 
 
+def test_a_detection_says_whether_its_depth_is_of_a_sensor():
+    wall_m = np.full((CAMERA.height, CAMERA.width), 2.0, np.float32)
+    rgb = np.zeros((*wall_m.shape, 3), np.uint8)
+    sensor = PlaneDetector(Config(depth=DepthConfig(source='topic')))
+    assert sensor.detect(rgb, CAMERA, wall_m).is_measured
+    assert not PlaneDetector(depth_model=lambda image: wall_m).detect(rgb, CAMERA).is_measured
+
+
 def test_a_leaf_before_its_wall_is_another_plane_however_much_the_sensor_bends_them():
     wall_m = np.full((CAMERA.height, CAMERA.width), 2.5, np.float32)
     leaf_m = wall_m.copy()
