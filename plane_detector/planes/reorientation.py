@@ -10,6 +10,7 @@ import numpy as np
 
 from plane_detector.compilation import kernel
 from plane_detector.directions.finder import ImageDirections
+from plane_detector.geometry.rigid_transform import unit_vectors
 from plane_detector.planes.line_evidence import lines_in_regions
 from plane_detector.planes.measurement import measure_planes, ray_plane_jacobian
 from plane_detector.planes.orientation import (
@@ -34,6 +35,12 @@ MIN_PROBABILITY = 0.5
 # tuned: as above, flat from 0.06 to 0.1; saved depth of a strong network (corridor wall), in which
 # samples on a wall jump by 0.1 and more.
 STEP_PER_RAD = 0.08
+# Errors of the shift of 1/z that a network may have, as shares of the typical 1/z of the image: a
+# shift turns walls by 15 degrees without bending them. Spread of their prior, and log odds against
+# any. tuned: rendered corridors with errors of 0.1 to 0.3 and exact depth, seeds 300 to 303, the
+# same for spreads from 0.14 to 0.28 (docs/results.md). chosen: the odds.
+SHIFT_SHARES = np.linspace(-0.6, 0.6, 61)
+SHIFT_SPREAD, LOG_SHIFT_ODDS = 0.2, 3.0
 
 
 def measure_reoriented(regions: PixelRegions, intrinsics: CameraIntrinsics, min_pixels: float,
@@ -84,6 +91,8 @@ def reorient(regions: PixelRegions, planes: Planes, lines: ImageDirections,
     """
     Rotate regions to their most likely orientation, and merge those that are then coplanar.
 
+    The normals may have in common that the network's 1/z is shifted.
+
     Parameters
     ----------
     regions : PixelRegions
@@ -107,16 +116,20 @@ def reorient(regions: PixelRegions, planes: Planes, lines: ImageDirections,
     normals, offsets = planes.normals.copy(), planes.offsets_m.copy()
     beside = lines_in_regions(lines.segments, regions.labels, len(planes))
 
-    def scored(axes: ImageDirections) -> ScoredOrientations:
-        return score_orientations(planes, axes.directions, beside.along(axes.all_axes), samples,
+    def scored(axes: ImageDirections, turned: Planes) -> ScoredOrientations:
+        return score_orientations(turned, axes.directions, beside.along(axes.all_axes), samples,
                                   shift_rad)
 
-    best = scored(lines)
-    own, log_prior = axes_of_planes(
-        normals, normal_variances(planes, samples, OWN_SIGMA_RAD, shift_rad),
-        lines.directions)
+    best, turned = scored(lines, planes), planes
+    variances = normal_variances(planes, samples, OWN_SIGMA_RAD, shift_rad)
+    shifted, log_odds = _at_likely_shift(planes, variances, lines.all_axes,
+                                         np.median(samples.disparity))
+    other = scored(lines, shifted)
+    if other.log_evidence - best.log_evidence + log_odds > 0:
+        best, turned = other, shifted
+    own, log_prior = axes_of_planes(turned.normals, variances, lines.directions)
     if own is not None:
-        other = scored(replace(lines, directions=own))
+        other = scored(replace(lines, directions=own), turned)
         if PLANE_VOTE * (other.log_evidence - best.log_evidence) + log_prior > 0:
             best = other
     found = most_likely(best, samples)
@@ -137,6 +150,22 @@ def reorient(regions: PixelRegions, planes: Planes, lines: ImageDirections,
     reoriented = _rotated(joined, normals, offsets, changed | grown, intrinsics)
     return replace(reoriented, certainty=found.probability,
                    class_certainty=found.class_probability)
+
+
+def _at_likely_shift(planes: Planes, variances: np.ndarray, axes: np.ndarray,
+                     typical_disparity: float) -> tuple[Planes, float]:
+    """
+    Return planes as a shift of 1/z by the network turns them back to the axes, and its log prior.
+
+    A shift turns planes without a bend, all by one rule: n / d changes along the optical axis.
+    """
+    change = SHIFT_SHARES[:, None, None] * [0.0, 0.0, typical_disparity]
+    normals = unit_vectors(planes.normals / planes.offsets_m[:, None] - change)
+    off_rad = np.arccos(np.clip(np.abs(normals @ axes.T), 0, 1)).min(2)
+    log_prior = -0.5 * (SHIFT_SHARES / SHIFT_SPREAD) ** 2 - LOG_SHIFT_ODDS
+    fit = np.log1p(np.exp(-0.5 * off_rad**2 / variances) / variances).sum(1)
+    best = np.argmax(fit + log_prior)
+    return replace(planes, normals=normals[best]), log_prior[best]
 
 
 def _rotated(regions: PixelRegions, normals: np.ndarray, offsets: np.ndarray,
