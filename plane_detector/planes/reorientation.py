@@ -165,7 +165,8 @@ def _at_likely_shift(planes: Planes, variances: np.ndarray, axes: np.ndarray,
     log_prior = -0.5 * (SHIFT_SHARES / SHIFT_SPREAD) ** 2 - LOG_SHIFT_ODDS
     fit = np.log1p(np.exp(-0.5 * off_rad**2 / variances) / variances).sum(1)
     best = np.argmax(fit + log_prior)
-    return replace(planes, normals=normals[best]), log_prior[best]
+    is_inside = 0 < best < len(SHIFT_SHARES) - 1  # at an end a flat world is no answer
+    return replace(planes, normals=normals[best]), log_prior[best] if is_inside else -np.inf
 
 
 def _rotated(regions: PixelRegions, normals: np.ndarray, offsets: np.ndarray,
