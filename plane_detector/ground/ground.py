@@ -316,7 +316,7 @@ def find_ground(found: PlaneSegmentation, depth_m: np.ndarray, intrinsics: Camer
     pixels = SeenGround(depth_m, labels, ways, rays, intrinsics.fx, surfaces.table(),
                         np.zeros(len(found.planes) + 1, bool), -1, down32, limits,
                         float(found.disparity_noise), tells_drops=False)
-    if np.count_nonzero(valid_depth(depth_m[::8, ::8])) < SEEN_SHARE * depth_m[::8, ::8].size:
+    if valid_depth(depth_m[::8, ::8]).mean() < SEEN_SHARE:
         return Ground(classify_planes(found.planes, down), nothing, tilt_deg=tilt_deg, note=(
             f'{NOTHING_SEEN}: hardly any pixel has a depth up to {config.depth.max_depth:g} m'))
     if own is None:

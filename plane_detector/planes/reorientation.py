@@ -123,11 +123,11 @@ def reorient(regions: PixelRegions, planes: Planes, lines: ImageDirections,
 
     best, turned = scored(lines, planes), planes
     variances = normal_variances(planes, samples, OWN_SIGMA_RAD, shift_rad)
-    shifted, log_odds = _at_likely_shift(planes, variances, lines.all_axes,
-                                         np.median(samples.disparity))
-    other = scored(lines, shifted)
-    if other.log_evidence - best.log_evidence + log_odds > 0:
-        best, turned = other, shifted
+    shifted = _at_likely_shift(planes, variances, lines.all_axes, np.median(samples.disparity))
+    if shifted is not None:
+        other, log_odds = scored(lines, shifted[0]), shifted[1]
+        if other.log_evidence - best.log_evidence + log_odds > 0:
+            best, turned = other, shifted[0]
     own, log_prior = axes_of_planes(turned.normals, variances, lines.directions)
     if own is not None:
         other = scored(replace(lines, directions=own), turned)
@@ -154,11 +154,12 @@ def reorient(regions: PixelRegions, planes: Planes, lines: ImageDirections,
 
 
 def _at_likely_shift(planes: Planes, variances: np.ndarray, axes: np.ndarray,
-                     typical_disparity: float) -> tuple[Planes, float]:
+                     typical_disparity: float) -> tuple[Planes, float] | None:
     """
     Return planes as a shift of 1/z by the network turns them back to the axes, and its log prior.
 
     A shift turns planes without a bend, all by one rule: n / d changes along the optical axis.
+    None if no shift is the most likely, or one at the end of the range: a flat world.
     """
     change = SHIFT_SHARES[:, None, None] * [0.0, 0.0, typical_disparity]
     normals = unit_vectors(planes.normals / planes.offsets_m[:, None] - change)
@@ -166,8 +167,9 @@ def _at_likely_shift(planes: Planes, variances: np.ndarray, axes: np.ndarray,
     log_prior = -0.5 * (SHIFT_SHARES / SHIFT_SPREAD) ** 2 - LOG_SHIFT_ODDS
     fit = np.log1p(np.exp(-0.5 * off_rad**2 / variances) / variances).sum(1)
     best = np.argmax(fit + log_prior)
-    is_inside = 0 < best < len(SHIFT_SHARES) - 1  # at an end a flat world is no answer
-    return replace(planes, normals=normals[best]), log_prior[best] if is_inside else -np.inf
+    if best in (0, len(SHIFT_SHARES) // 2, len(SHIFT_SHARES) - 1):
+        return None
+    return replace(planes, normals=normals[best]), log_prior[best]
 
 
 def _rotated(regions: PixelRegions, normals: np.ndarray, offsets: np.ndarray,
