@@ -182,9 +182,8 @@ class PlaneDetector:
         with timer('depth'):
             seen = self.source.observe(rgb, intrinsics, depth_m, self.config)
             if seen.is_measured:
-                values = without_constants(seen.prediction.values, metric_noise_floor(self.config))
-                if values is not seen.prediction.values:
-                    seen = seen.with_values(values)
+                seen = seen.with_values(without_constants(seen.prediction.values,
+                                                          metric_noise_floor(self.config)))
             if covered is not None:
                 seen = seen.restricted_to(covered)
             check_depth(seen.prediction.values, intrinsics)

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from enum import IntEnum
+from enum import Enum, IntEnum
 from functools import cached_property
 from typing import Protocol, runtime_checkable
 
@@ -338,12 +338,20 @@ OBSTACLE_DISTANCES_M = (1.0, 2.0, 3.0)
 """How far ahead the smallest obstacle that can be seen is stated."""
 
 
+class GroundLack(Enum):
+    """What an image lacks for its ground."""
+
+    NOTHING = 0
+    GRAVITY = 1  # its direction, or a good one
+    UNIT = 2
+    DEPTH = 3  # hardly any pixel has it
+
+
 @dataclass(frozen=True)
 class GroundPixels:
     """Where a robot may roll, what it must not hit, and where the ground ends."""
 
-    # Whether gravity and the unit are known and anything is seen; if not, all this is missing.
-    is_known: bool = False
+    lack: GroundLack = GroundLack.GRAVITY  # if anything, all this is missing
     # (H, W) bool, pixels that a robot may roll on, and lower levels; nowhere if the own floor is
     # not known.
     mask: np.ndarray = field(default_factory=lambda: np.zeros((0, 0), bool))
@@ -360,6 +368,11 @@ class GroundPixels:
     # and by how much, (N,); NaN where nothing is seen behind the edge.
     drops_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
     drop_depths_m: np.ndarray = field(default_factory=lambda: np.zeros(0))
+
+    @property
+    def is_known(self) -> bool:
+        """Whether nothing is lacking."""
+        return self.lack is GroundLack.NOTHING
 
 
 @dataclass(frozen=True)

@@ -33,6 +33,7 @@ from plane_detector.planes.classification import (
 from plane_detector.types import (
     OBSTACLE_DISTANCES_M,
     CameraIntrinsics,
+    GroundLack,
     GroundPixels,
     Mounting,
     PlaneSegmentation,
@@ -78,8 +79,6 @@ WAY_STEP = 0.01
 MIN_EDGE_M = 0.12
 # chosen: the floor is seen if at least this share of the pixels shows it.
 SEEN_SHARE = 0.003
-NOTHING_SEEN = 'nothing is seen'
-"""Beginning of the note if hardly any pixel has depth."""
 # The range of a sensor is the depth, or the distance, that hardly any pixel exceeds. Ends of the
 # ground are due to it if at least this share of them is there: an edge is so only if it is
 # straight across the view.
@@ -164,7 +163,7 @@ class SeenGround:
     limits: GroundConfig
     sigma: float  # standard deviation of 1/z
     tells_drops: bool
-    is_known = True
+    lack, is_known = GroundLack.NOTHING, True
 
     @property
     def mask(self) -> np.ndarray:
@@ -311,17 +310,19 @@ def find_ground(found: PlaneSegmentation, depth_m: np.ndarray, intrinsics: Camer
             known_m, down, own = rough_m, gravity.gravity_camera, len(found.planes)
     if down is None:
         return Ground(unknown, nothing, note='the direction of gravity is known too coarsely')
+    without_unit = replace(nothing, lack=GroundLack.UNIT)
     surfaces, down32 = Surfaces.of(found, down, known_m), down.astype(np.float32)
     tilt_deg = float(np.degrees(np.arcsin(np.clip(down[2], -1, 1))))
     pixels = SeenGround(depth_m, labels, ways, rays, intrinsics.fx, surfaces.table(),
                         np.zeros(len(found.planes) + 1, bool), -1, down32, limits,
                         float(found.disparity_noise), tells_drops=False)
     if valid_depth(depth_m[::8, ::8]).mean() < SEEN_SHARE:
-        return Ground(classify_planes(found.planes, down), nothing, tilt_deg=tilt_deg, note=(
-            f'{NOTHING_SEEN}: hardly any pixel has a depth up to {config.depth.max_depth:g} m'))
+        return Ground(classify_planes(found.planes, down), replace(nothing, lack=GroundLack.DEPTH),
+                      tilt_deg=tilt_deg, note='nothing is seen: hardly any pixel has a depth up '
+                      f'to {config.depth.max_depth:g} m')
     if own is None:
         note = _unseen(depth_m, rays, surfaces, known_m)
-        return Ground(classify_planes(found.planes, down), pixels if is_metric else nothing,
+        return Ground(classify_planes(found.planes, down), pixels if is_metric else without_unit,
                       tilt_deg=tilt_deg, note=note or 'no floor is seen')
     height_m = float(surfaces.heights()[own])
     unit_m = 1.0 if is_metric else height_m
@@ -347,7 +348,7 @@ def find_ground(found: PlaneSegmentation, depth_m: np.ndarray, intrinsics: Camer
                        STEP_RANGE_M if is_metric else 0.0, limits.max_slope + SLOPE_MARGIN_DEG,
                        own if is_metric else -1)
     if not is_metric:
-        return Ground(classes, nothing, tilt_deg=tilt_deg,
+        return Ground(classes, without_unit, tilt_deg=tilt_deg,
                       note='the unit of depth is not known')
     # 4. and 5. Pixels and drops.
     error_m = SIGMAS * float(found.disparity_noise) * TOLD_AT_M * height_m

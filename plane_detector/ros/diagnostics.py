@@ -21,12 +21,11 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
-from plane_detector.ground.ground import NOTHING_SEEN
 from plane_detector.ros.outputs.frame import DetectedFrame
 from plane_detector.ros.outputs.markers import plane_name
 from plane_detector.ros.qos import SILENT_PUBLISHER, overriding_options
 from plane_detector.scale.estimate import RELATIVE
-from plane_detector.types import OBSTACLE_DISTANCES_M, Detection
+from plane_detector.types import OBSTACLE_DISTANCES_M, Detection, GroundLack
 
 HARDWARE_ID = 'plane_detector'
 """Hardware id of all statuses of this package, by which viewers group them."""
@@ -268,7 +267,7 @@ def missing_for_classes(detection: Detection, wanted: Collection[str]) -> str:
         return f'~/{DROPS} is silent: {detection.drop_note}' if is_silent else ''
     lost, is_relative = POINTS_WITHOUT_FLOOR in wanted, detection.scale_method == RELATIVE
     silent = f'~/{POINTS_WITHOUT_FLOOR} is silent'
-    if any(detection.classes) or detection.drop_note.startswith(NOTHING_SEEN):
+    if detection.ground_pixels.lack is not GroundLack.GRAVITY:
         why = f' ({detection.scale_note})' if is_relative else ''
         return f'{silent}: {detection.drop_note}{why}' if lost else ''
     if detection.planes:

@@ -16,18 +16,20 @@ from plane_detector.ros.diagnostics import (
     Report,
     missing_for_classes,
 )
-from plane_detector.types import GroundPixels, Mounting
+from plane_detector.types import GroundLack, GroundPixels, Mounting
 
 
 def detection(classes, scale='metric', planes=2, gravity_note='', shape=(480, 640), note='',
-              is_known=None, mounting=None, probability=math.nan):
-    is_known = any(classes) and scale != 'relative' if is_known is None else is_known
+              lack=None, mounting=None, probability=math.nan):
+    if lack is None:
+        lack = (GroundLack.GRAVITY if not any(classes) else
+                GroundLack.UNIT if scale == 'relative' else GroundLack.NOTHING)
     return SimpleNamespace(labels=np.zeros(shape), planes=(None,) * planes, classes=classes,
                            scale_method=scale, scale_note='why', scale_event='',
                            gravity_source='none', gravity_note=gravity_note,
                            gravity_probability=probability,
                            camera_height_m=1.25, tilt_deg=math.nan, drops_m=(),
-                           ground_pixels=GroundPixels(is_known), drop_note=note,
+                           ground_pixels=GroundPixels(lack), drop_note=note,
                            shapes=(), shape_note='', mounting=mounting,
                            disparity_noise=0.002, systematic_noise=0.001)
 
@@ -36,7 +38,7 @@ def detection(classes, scale='metric', planes=2, gravity_note='', shape=(480, 64
     (detection((1, 3)), (POINTS_WITHOUT_FLOOR,), ''),
     (detection((), planes=0), ('planes',), ''),
     (detection((), planes=0), (POINTS_WITHOUT_FLOOR,), 'gravity is not known'),
-    (detection((), planes=0, is_known=True), (POINTS_WITHOUT_FLOOR,), ''),
+    (detection((), planes=0, lack=GroundLack.NOTHING), (POINTS_WITHOUT_FLOOR,), ''),
     (detection((1, 3), note='no floor is seen'), (POINTS_WITHOUT_FLOOR,), ''),
     (detection((1, 3), note='no floor is seen'), (DROPS,), 'drops is silent: no floor is seen'),
     (detection((0, 0)), ('planes',), 'the direction of gravity is not known'),
@@ -44,8 +46,10 @@ def detection(classes, scale='metric', planes=2, gravity_note='', shape=(480, 64
     (detection((0, 0), gravity_note='only 3 straight lines'), (), 'not known (only 3 straight'),
     (detection((0, 0), 'relative'), ('planes',), 'neither metres nor gravity'),
     (detection((1, 0), 'relative'), ('planes',), ''),
-    (detection((), planes=0, note='nothing is seen: no depth'), (POINTS_WITHOUT_FLOOR,),
-     'points_without_floor is silent: nothing is seen'),
+    (detection((), planes=0, lack=GroundLack.DEPTH, note='nothing is seen: no depth'),
+     (POINTS_WITHOUT_FLOOR,), 'points_without_floor is silent: nothing is seen'),
+    (detection((), 'relative', planes=0, lack=GroundLack.UNIT, note='the unit is not known'),
+     (POINTS_WITHOUT_FLOOR,), 'silent: the unit is not known'),
     (detection((1, 0), 'relative', note='the unit of depth is not known'),
      (POINTS_WITHOUT_FLOOR,), 'unit of depth is not known (why)')])
 def test_gaps(found, wanted, expected):
