@@ -12,8 +12,7 @@ import pytest
 from plane_detector import CameraIntrinsics, Config, PlaneDetector, segment_planes
 from plane_detector.config import DepthConfig, ScaleConfig
 from plane_detector.evaluation.metrics import angle_deg, overlap
-from plane_detector.evaluation.scenes.noise import with_disparity_noise
-from plane_detector.evaluation.scenes.rooms import random_room, single_wall
+from plane_detector.evaluation.scenes.rooms import random_room
 
 CAMERAS = {
     'fx is not fy, off centre': CameraIntrinsics(380.0, 560.0, 250.0, 290.0, 640, 480),
@@ -74,23 +73,6 @@ def test_centroid_count_rms_and_area_are_those_of_the_pixels(case):
         cosine = np.abs(points_m @ plane.normal) / points_m[:, 2]
         area_m2 = (points_m[:, 2]**2 / (camera.fx * camera.fy) / cosine).sum()
         assert plane.area_m2 == pytest.approx(area_m2, rel=0.1)
-
-
-@pytest.mark.parametrize('name', CAMERAS)
-def test_errors_of_a_wall_are_as_large_as_stated(name):
-    """The errors of normal and offset of 16 noisy walls, in units of their stated deviations."""
-    camera, scores = CAMERAS[name], []
-    wall = single_wall(camera, yaw_deg=25, distance_m=2.5)
-    for seed in range(16):
-        rng = np.random.default_rng([8300, seed])
-        noisy_m = with_disparity_noise(wall.depth_m, 0.004, rng, smooth_share=0)
-        plane = max(segment_planes(noisy_m, camera).planes, key=lambda one: one.inlier_count)
-        error = np.append(plane.normal, plane.offset_m) - wall.planes[0]
-        deviation = np.sqrt(np.diagonal(plane.covariance))
-        scores.append((error / np.maximum(deviation, 1e-9))[[0, 1, 3]])
-    rms = np.sqrt(np.mean(np.square(scores), axis=0))
-    assert (rms < 2.5).all(), rms
-    assert (rms > 0.2).all(), rms
 
 
 @pytest.mark.parametrize('name', CAMERAS)

@@ -59,7 +59,8 @@ def test_readme_is_short_with_image_and_command_early():
     assert any(line.startswith('make demo') for line in LINES[:29])
 
 
-@pytest.mark.parametrize('page', PAGES, ids=lambda page: page.name)
+@pytest.mark.parametrize('page', [*PAGES, *sorted((ROOT / '.github').glob('*.md'))],
+                         ids=lambda page: page.name)
 def test_links_lead_somewhere(page):
     for link in re.findall(r'\]\(([^)#]+)(?:#[^)]*)?\)', text_of(page)):
         if '://' not in link:

@@ -6,18 +6,16 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from onnx_models import PLAIN, write_depth_network
 
 from plane_detector import Config, PlaneDetector
-from plane_detector.config import DepthConfig, DirectionsConfig, SegmentationConfig
+from plane_detector.config import DirectionsConfig, SegmentationConfig
 from plane_detector.depth.observation import DepthFunction
 from plane_detector.evaluation.metrics import overlap, pure_errors, segmentation_covering
 from plane_detector.evaluation.peers import plane_array
 from plane_detector.evaluation.scenes import rooms
-from plane_detector.evaluation.scenes.misleading import FALSE_COLOURS, KINDS, misleading_image
+from plane_detector.evaluation.scenes.misleading import KINDS, misleading_image
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
 
-STEP_M = 1e-4  # of the depth in the colours: 6.5 m in 16 bits
 # Rooms in which images turned planes by 20 to 65 degrees.
 SEEDS = (302, 303)
 
@@ -68,29 +66,3 @@ def test_borders_of_good_depth_do_not_move_to_edges_of_the_picture(seed, kind):
     (without, _), (snapped, _) = without_and_with(
         lambda snaps: Config(segmentation=SegmentationConfig(snap_to_picture=snaps)), seed, kind)
     assert snapped > without - 0.003
-
-
-@pytest.fixture(scope='module')
-def decoder(tmp_path_factory):
-    """Return a network that reads depth from red and green; blue is free for a picture."""
-    weights = np.array([256.0, 1.0, 0.0]) * 255 * STEP_M
-    path = write_depth_network(tmp_path_factory.mktemp('network') / 'decoder.onnx',
-                               height=480, width=640, weights=(*weights, 0.0))
-    return PlaneDetector(Config(depth=DepthConfig(
-        model=str(path), output='metric_depth', max_depth=20.0, **PLAIN)))
-
-
-@pytest.mark.parametrize('kind', [*KINDS, 'the colours alone'])
-@pytest.mark.parametrize('seed', SEEDS)
-def test_exact_depth_of_a_network_stays_exact(decoder, seed, kind):
-    scene, rgb = room(seed, kind if kind in KINDS else FALSE_COLOURS)
-    steps = np.rint(np.nan_to_num(scene.depth_m) / STEP_M)
-    is_coded = steps < 2**16
-    code = np.where(is_coded, steps, 0).astype(np.uint16)
-    blue = rgb[..., 2] if kind in KINDS else np.full_like(rgb[..., 2], 128)
-    rgb = np.ascontiguousarray(np.stack([code >> 8, code & 255, blue], axis=2).astype(np.uint8))
-    decoder.reset()
-    covering, errors_deg = errors(scene, decoder.detect(rgb, scene.intrinsics),
-                                  is_coded & np.isfinite(scene.depth_m))
-    assert covering > 0.99
-    assert errors_deg.max() < 0.5

@@ -19,7 +19,6 @@ from plane_detector.config import (
 )
 from plane_detector.depth.observation import DepthFunction
 from plane_detector.evaluation.peers import plane_array
-from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.evaluation.scenes.rooms import random_room, single_wall
 from plane_detector.geometry.disparity import noise_reference
 from plane_detector.segmentation.search import ransac
@@ -70,27 +69,6 @@ def test_the_stated_noise_of_a_network_is_used():
     least = 0.05 * noise_reference(1 / SCENE.depth_m)
     assert detect(network('metric_depth', 0.05)).disparity_noise >= least * (1 - 1e-6)
     assert detect(network('metric_depth')).disparity_noise < 0.5 * least
-
-
-def labels_of(depth_m, output, noise_share, shift=0.0):
-    """Return the labels from a network that gives this depth in the requested unit."""
-    disparity = (1 / depth_m + shift) / SCALE
-    values = depth_m if output == 'metric_depth' else disparity
-    config = Config(DepthConfig(max_depth=1e4), ScaleConfig(method='none'))
-    intrinsics = CameraIntrinsics(300.0, 300.0, 159.5, 119.5, *depth_m.shape[::-1])
-    model = DepthFunction(lambda rgb: values.astype(np.float32), output, noise_share)
-    return PlaneDetector(config, model).detect(
-        np.zeros((*depth_m.shape, 3), np.uint8), intrinsics).labels
-
-
-@pytest.mark.parametrize('noise_share', [0.006, 0.0175])
-def test_metres_and_relative_disparity_of_one_scene_give_the_same_segments(noise_share):
-    depth_m = with_disparity_noise(SCENE.depth_m, 0.002, np.random.default_rng(0))
-    metric = labels_of(depth_m, 'metric_depth', noise_share)
-    assert metric.max() > 2
-    for shift in (0.0, -0.05, 0.02):
-        relative = labels_of(depth_m, 'relative_disparity', noise_share, shift)
-        assert np.mean(relative == metric) > 0.995
 
 
 def test_measured_depth_needs_no_network():

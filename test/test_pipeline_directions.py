@@ -41,12 +41,6 @@ def same_planes(first, second):
                                                            strict=True))
 
 
-@pytest.mark.parametrize(('scale', 'measured', 'source'), [
-    (GIVEN, {}, 'parameter'), (GIVEN, {'gravity_camera': SCENE.gravity_camera}, 'measured')])
-def test_the_image_comes_last(scale, measured, source):
-    assert detect(Config(scale=scale), **measured).gravity_source == source
-
-
 def test_floors_and_walls_of_a_network_are_turned_upright():
     def worst_deg(found):
         level = [p.normal @ SCENE.gravity_camera for p, kind in zip(found.planes, found.classes,

@@ -13,7 +13,7 @@ from plane_detector import Config, PlaneDetector
 from plane_detector.config import DepthConfig, GroundConfig, ScaleConfig
 from plane_detector.directions.gravity_choice import Gravity
 from plane_detector.evaluation.scenes.rendering import rectangle
-from plane_detector.evaluation.scenes.terrain import Course, Kind, View, hole, look, noisy, quay
+from plane_detector.evaluation.scenes.terrain import Course, Kind, View, look, noisy
 from plane_detector.ground.ground import find_ground
 from plane_detector.planes.classification import PlaneClass
 from plane_detector.types import NO_PLANES, CameraIntrinsics, PlaneSegmentation
@@ -122,12 +122,6 @@ def test_drops_within_the_range_stay():
     assert abs(view.in_world(found.drops_m)[:, 1] - 1.4).max() < 0.05
 
 
-@pytest.mark.parametrize('yaw_deg', [-8.0, 1.0, 3.0])
-def test_a_quay_that_is_not_straight_across_the_view_is_found(yaw_deg):
-    view = seen(quay(None, 1.7), 1.0, 22, 2, yaw_deg, noise=0.002)
-    assert len(detect(view).drops_m) > 150
-
-
 @pytest.mark.parametrize('roll_deg', [0, 90, 180])
 def test_a_border_without_depth_is_no_edge(roll_deg):
     view = seen(course(4.0), 1.2, 18, roll_deg, noise=0.001)
@@ -182,11 +176,6 @@ def test_a_reflecting_floor_is_no_hole(height_m, pitch_deg, roll_deg, patch, cei
     mirrored_m = view.depth_m * (height_m + ceiling_m) / height_m
     found = detect(view, np.where(mirrors, mirrored_m, view.depth_m))
     assert len(found.drops_m) == 0 and not found.drop_note
-
-
-def test_a_pit_in_the_same_hall_is_a_hole():
-    view = seen(hole(np.random.default_rng(5), 1.3), 0.9, 25, noise=0.001)
-    assert len(detect(view).drops_m) > 20
 
 
 # 7. Bent depth.

@@ -9,16 +9,19 @@ import numpy as np
 import pytest
 
 from plane_detector import Config, PlaneDetector
-from plane_detector.config import DepthConfig
+from plane_detector.config import DepthConfig, MapConfig
 from plane_detector.evaluation.benchmark.map import record, score
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
+from plane_detector.evaluation.scenes.rooms import single_wall
 from plane_detector.evaluation.scenes.walks import walk, with_errors
 from plane_detector.geometry.rigid_transform import RigidTransform
 from plane_detector.mapping.association import Pairs, assign
+from plane_detector.mapping.cells import Cells
 from plane_detector.mapping.heights import with_pose_error
-from plane_detector.mapping.map_plane import as_planes
-from plane_detector.mapping.plane_map import PlacedDetection, PlaneMap
-from plane_detector.types import CameraIntrinsics
+from plane_detector.mapping.map_plane import CLASSES, MapPlane, as_planes
+from plane_detector.mapping.merging import merge_touched
+from plane_detector.mapping.plane_map import FORGETTING, PlacedDetection, PlaneMap
+from plane_detector.types import CameraIntrinsics, PlaneClass
 
 CAMERA = CameraIntrinsics.from_field_of_view(160, 120, 70.0)
 
@@ -135,6 +138,22 @@ def test_a_systematic_error_does_not_average_out():
     assert deviations[1] > 0.5 * deviations[0]
 
 
+def test_of_many_views_only_the_last_ones_count():
+    """A wall before a camera that moves along it; the sum over views with forgetting is 20."""
+    noisy_m = 2.0 + np.random.default_rng(0).normal(0, 0.01, (CAMERA.height, CAMERA.width))
+    found = replace(PlaneDetector(Config(depth=DepthConfig(source='topic'))).detect(
+        np.zeros((*noisy_m.shape, 3), np.uint8), CAMERA, noisy_m.astype(np.float32)),
+        systematic_noise=0.0)
+    planes, variances = PlaneMap(MapConfig(pose_drift=1e-6, pose_jitter=1e-6)), []
+    for k in range(81):
+        pose = RigidTransform(np.eye(3), np.array([0.06 * (k % 2), 0.0, 0.0]))
+        planes.update(PlacedDetection(found, CAMERA, pose, float(k)))
+        variances.append(planes.planes[0].covariance[2, 2])
+    views = variances[0] / np.array(variances)
+    assert views[5] == pytest.approx((1 - FORGETTING**6) / (1 - FORGETTING), rel=0.02)
+    assert views[80] == pytest.approx(1 / (1 - FORGETTING), rel=0.05)
+
+
 def test_planes_of_a_network_do_not_move_the_pose_and_are_stated_as_uncertain():
     moved_m, counts, deviations_m = [], [], []
     for is_measured in (True, False):
@@ -151,6 +170,17 @@ def test_planes_of_a_network_do_not_move_the_pose_and_are_stated_as_uncertain():
     assert moved_m[0] > 0.2 and moved_m[1] < 0.03
     assert counts[1] < 0.7 * counts[0]
     assert deviations_m[0] < 0.02 and deviations_m[1] > 0.2
+
+
+def test_a_network_is_a_fifth_of_the_distance_off_and_five_degrees_about_the_middle():
+    wall_m = single_wall(CAMERA, yaw_deg=40, distance_m=2.0).depth_m
+    found = PlaneDetector(depth_model=lambda image: wall_m).detect(
+        np.zeros((*wall_m.shape, 3), np.uint8), CAMERA)
+    planes = PlaneMap()
+    planes.update(PlacedDetection(found, CAMERA, RigidTransform.identity(), 0.0))
+    offset_m, tilt = found.planes[0].offset_m, np.radians(5.0)
+    assert np.sqrt(np.diag(planes.planes[0].covariance)) == pytest.approx(
+        [tilt, tilt, 0.2 * offset_m], rel=0.02)
 
 
 def test_a_detection_says_whether_its_depth_is_of_a_sensor():
@@ -181,6 +211,29 @@ def test_a_wall_is_not_the_picture_that_it_covers():
     assert assign(pairs, np.zeros((1, 1), bool), 1).tolist() == [1]
 
 
+def piece(label, left_m, apart=()):
+    """Return a piece of the floor, 1 m x 1 m."""
+    seen = np.full((20, 20), 5, np.uint8)
+    return MapPlane(label, np.array([left_m, 0.0, 0.0]), np.eye(3), np.zeros(3),
+                    1e-4 * np.eye(3), Cells((0, 0), seen, seen.copy(), 0.05), 5, 0.0, 1.0, 1,
+                    np.eye(CLASSES)[PlaneClass.FLOOR], frozenset(apart))
+
+
+@pytest.mark.parametrize('larger, smaller, third, labels', [
+    ((), (), (), {1}), ((2,), (), (), {1, 2}), ((), (1,), (), {1, 2}),
+    ((), (), (2,), {1, 3})])  # what is not the smaller one is not what that becomes a part of
+def test_pieces_of_one_plane_are_merged_unless_an_image_has_shown_them_apart(
+        larger, smaller, third, labels):
+    planes = [piece(1, 0.0, larger), piece(2, 1.0, smaller)]
+    planes += [piece(3, 2.0, third)] if third else []
+    merged, gone = merge_touched(planes, np.array([1]), np.array([0.0, 0.0, 1.0]))
+    assert {plane.label for plane in merged} == labels
+    assert gone == ({} if 2 in labels else {2: 1})
+    if gone:
+        assert merged[0].cells.area_m2 == pytest.approx(2.0)
+        assert merged[-1].apart == ({1} if third else set())
+
+
 def test_without_metres_there_is_no_map():
     planes, _ = run(1)
     unscaled = replace(recording().detections[0], scale_method='relative')
@@ -198,22 +251,16 @@ def test_labels_are_not_used_again_after_clear():
     assert update.labels.min() > updates[-1].labels.max()
 
 
-def test_an_image_without_planes_changes_nothing():
-    planes, _ = run(3)
+@pytest.mark.parametrize('images', [0, 3])
+def test_an_image_without_planes_changes_nothing(images):
+    planes, _ = run(images)
     before = [plane.label for plane in planes.planes]
     blank = PlaneDetector(Config(depth=DepthConfig(source='topic'))).detect(
         np.zeros((120, 160, 3), np.uint8), CAMERA, np.full((120, 160), np.nan, np.float32))
     update = planes.update(PlacedDetection(blank, CAMERA, recording().walked.poses[3], 0.0))
     assert update.labels.size == 0
     assert [plane.label for plane in planes.planes] == before
-
-
-def test_the_first_image_may_have_no_planes():
-    planes = PlaneMap()
-    blank = PlaneDetector(Config(depth=DepthConfig(source='topic'))).detect(
-        np.zeros((120, 160, 3), np.uint8), CAMERA, np.full((120, 160), np.nan, np.float32))
-    planes.update(PlacedDetection(blank, CAMERA, recording().walked.poses[0], 0.0))
-    assert planes.snapshot().surfaces == ()
+    assert set(planes.snapshot().planes.labels) <= set(before)
 
 
 def test_both_sides_of_a_thin_panel_are_two_planes():

@@ -7,10 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from plane_detector import CameraIntrinsics, segment_planes
-from plane_detector.evaluation.scenes.noise import with_disparity_noise
-from plane_detector.evaluation.scenes.rooms import random_room
-from plane_detector.geometry.projection import depth_to_points
+from plane_detector import CameraIntrinsics
 from plane_detector.planes.measurement import (
     CONFIDENCE_WEIGHTS,
     SUMS,
@@ -21,41 +18,6 @@ from plane_detector.segmentation.cells.grid import DisparityImage, build_cell_gr
 from plane_detector.segmentation.cells.labels import count_labels, relabel_sequential
 from plane_detector.segmentation.cells.noise import Noise
 from plane_detector.segmentation.cells.pixel_regions import PixelRegions
-
-
-def rms_of_points_m(points_m, plane):
-    return np.sqrt(np.mean((points_m @ plane.normal + plane.offset_m) ** 2))
-
-
-@pytest.mark.parametrize('camera', [
-    CameraIntrinsics(210.0, 305.0, 125.0, 150.0, 320, 240),
-    CameraIntrinsics(96.0, 130.0, 190.0, 100.0, 318, 239),
-    CameraIntrinsics(640.0, 500.0, 100.0, 119.5, 320, 240)])
-@pytest.mark.parametrize('sigma', [0.0, 0.003])
-def test_measurements_are_those_of_the_pixels(camera, sigma):
-    """Normal, distance, centroid, rms and count of labels, by plain numpy from the points."""
-    for seed in (0, 1):
-        rng = np.random.default_rng(seed)
-        depth_m = with_disparity_noise(random_room(rng, camera).depth_m, sigma, rng)
-        points_m = depth_to_points(depth_m, camera).astype(float)
-        found = segment_planes(depth_m, camera)
-        assert len(found.planes) >= 3
-        for k, plane in enumerate(found.planes):
-            own_m = points_m[found.labels == k]
-            assert plane.normal @ plane.centroid_m + plane.offset_m == pytest.approx(0, abs=1e-9)
-            rays = own_m / own_m[:, 2:]
-            on_plane_m = plane.offset_m / -(rays @ plane.normal)[:, None] * rays
-            assert plane.inlier_count == len(own_m)
-            assert plane.offset_m > 0 > plane.normal @ plane.centroid_m
-            size_m = np.linalg.norm(np.ptp(on_plane_m, axis=0))
-            assert np.linalg.norm(plane.centroid_m - on_plane_m.mean(axis=0)) < 0.02 * size_m
-            assert plane.rms_m == pytest.approx(rms_of_points_m(own_m, plane), rel=0.1, abs=1e-5)
-            x, y = ((own_m[:, i] / own_m[:, 2]) for i in (0, 1))
-            fit = np.linalg.lstsq(np.stack([x, y, np.ones_like(x)], axis=1), 1 / own_m[:, 2],
-                                  rcond=None)[0]
-            fit_normal = -fit / np.linalg.norm(fit)
-            error_rad = np.sqrt(np.trace(plane.covariance[:3, :3])) + 1e-4
-            assert np.arccos(min(fit_normal @ plane.normal, 1.0)) < 6 * error_rad
 
 
 def counted(labels, size, count):

@@ -125,23 +125,3 @@ def test_areas_are_those_of_the_pixels_and_within_the_rectangle(sigma, camera):
             pixels_m2 = np.linalg.norm(np.cross(diagonals_m[:, 0], diagonals_m[:, 1]), axis=1) / 2
             assert plane.area_m2 == pytest.approx(pixels_m2.sum(), rel=2e-3)
             assert plane.area_m2 < 1.001 * rectangle.width_m * rectangle.height_m
-
-
-@pytest.mark.parametrize('sigma', [0.0, 0.004])
-def test_corners_are_where_the_true_plane_is(sigma):
-    off_m = []
-    for seed in range(3):
-        rng = np.random.default_rng(seed)
-        scene = random_room(rng)
-        found = segment_planes(with_disparity_noise(scene.depth_m, sigma, rng), scene.intrinsics)
-        ends = row_ends(found.labels, len(found.planes))
-        polygons = all_polygons(found.labels, ends, scene.intrinsics, found.planes)
-        for k, of_plane in enumerate(polygons):
-            true = np.bincount(scene.labels[found.labels == k] + 1).argmax() - 1
-            for polygon in of_plane if true >= 0 else ():
-                rays = polygon.corners_m / polygon.corners_m[:, 2:]
-                column = rays[:, 0] * scene.intrinsics.fx + scene.intrinsics.cx
-                np.testing.assert_allclose(column, column.round(), atol=1e-6)
-                depth_m = -scene.planes[true, 3] / (rays @ scene.planes[true, :3])
-                off_m.append(np.linalg.norm(polygon.corners_m - depth_m[:, None] * rays, axis=1))
-    assert np.median(np.concatenate(off_m)) < (0.015 if sigma else 1e-4)

@@ -109,24 +109,6 @@ def test_right_angles_coarse_gravity_and_height_give_metres():
     assert median_depth_error(scene, scale) < 0.01
 
 
-def test_targets_hold_under_noise():
-    angles_deg = {'manhattan': [], 'camera_height': []}
-    errors = []
-    for seed in range(2000, 2012):
-        scene = room(seed)
-        for method, found_deg in angles_deg.items():
-            scale = estimate(scene, 0.004, upright(scene, 2.0), method=method,
-                             camera_height=scene.height_m if method == 'camera_height' else 0.0)
-            if scale.has_true_angles:
-                found_deg.append(worst_angle_error_deg(scene, scale))
-            if scale.is_metric:
-                errors.append(median_depth_error(scene, scale))
-    assert min(map(len, angles_deg.values())) >= 7
-    assert np.median(angles_deg['manhattan']) < 2.0
-    assert np.median(angles_deg['camera_height']) < 1.3
-    assert np.median(errors) < 0.02
-
-
 @pytest.mark.parametrize('make', [scenes.attic, scenes.hexagon_room])
 def test_rooms_without_right_angles_are_not_bent(make):
     refused = 0

@@ -15,7 +15,7 @@ from plane_detector.depth.observation import DepthFunction
 from plane_detector.evaluation.scenes.rendering import box, camera_rotation, rectangle, render
 from plane_detector.evaluation.scenes.rooms import single_wall
 from plane_detector.segmentation.baselines import paper_labels, point_clusters, ransac_alone
-from plane_detector.stopping import Background, Stop, Stopped
+from plane_detector.stopping import Background, Stopped
 
 SMALL = CameraIntrinsics(131.0, 131.0, 79.5, 59.5, 160, 120)
 PAPER = Config(segmentation=SegmentationConfig(method='paper'))
@@ -110,10 +110,3 @@ def test_the_clusters_are_those_of_scikit_learn(seed):
     eps_m, min_samples = rng.uniform(0.02, 0.3), int(rng.integers(1, 8))
     expected = DBSCAN(eps=eps_m, min_samples=min_samples).fit_predict(points_m)
     np.testing.assert_array_equal(point_clusters(points_m, eps_m, min_samples), expected)
-
-
-def test_it_can_be_stopped():
-    stop = Stop()
-    stop.set()
-    with pytest.raises(Stopped), stop.applies():
-        point_clusters(np.zeros((10, 3)), 0.1, 2)

@@ -51,20 +51,6 @@ def test_a_narrow_strip_is_found(width_px, roll_deg):
     np.testing.assert_allclose(offsets_m, [NEAR_M, LEFT_M, RIGHT_M], atol=2e-3)
 
 
-@pytest.mark.parametrize('first_px', [323, 450])
-def test_the_plane_is_in_coordinates_of_the_image(first_px):
-    """It is found in some rows, whose own coordinates are others."""
-    scene = strip(12, 10.0, first_px, yaw_deg=15)
-    given = before_narrow(scene.depth_m)
-    labels, planes = given[1], add_small_planes(*given)
-    own = np.bincount(labels[(scene.labels == 1) & (labels >= 0)]).argmax()
-    rows, columns = np.nonzero(labels == own)
-    assert len(rows) > 0.8 * np.count_nonzero(scene.labels == 1)
-    a, b, c = given[0].grid.planes_in_pixels(planes)[own]
-    disparity = given[0].image.values[rows, columns]
-    np.testing.assert_allclose(a * columns + b * rows + c, disparity, atol=1e-4)
-
-
 @pytest.mark.parametrize('roll', [0.0, 0.3])
 def test_a_narrow_face_gets_the_pixels_on_its_side_of_the_edges(roll):
     """Its neighbours, found before, are within the noise of a scanner's depth there."""

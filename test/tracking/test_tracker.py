@@ -184,32 +184,6 @@ def test_planes_in_view_keep_their_labels_while_the_camera_walks(walked_room, si
     assert not any(switches.values()), switches
 
 
-def test_planes_of_a_real_sequence_keep_their_labels(data_folder):
-    """Without true labels: planes that overlap by half in two images are the same."""
-    folder = data_folder / 'living_room'
-    camera = CameraIntrinsics(525.0, 525.0, 319.5, 239.5, 640, 480)
-    tracker, before, same, switched = Tracked(), None, 0, 0
-    for path in sorted(folder.glob('*_depth.png')):
-        millimetres = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-        depth_m = np.where(millimetres > 0, millimetres * np.float32(0.001), np.nan)
-        now = tracker.update(segment_planes(depth_m.astype(np.float32), camera))
-        if before is not None:
-            pairs = overlapping(before.labels, now.labels)
-            same += len(pairs)
-            switched += sum(before.planes.labels[i] != now.planes.labels[j] for i, j in pairs)
-        before = now
-    assert same > 500
-    assert switched <= 0.005 * same
-
-
-def overlapping(first, second):
-    """Return pairs of labels whose pixels overlap by more than half."""
-    first, second = first[::2, ::2], second[::2, ::2]
-    return [(i, j) for i in range(first.max() + 1) for j in np.unique(second[first == i])
-            if j >= 0 and ((first == i) & (second == j)).sum()
-            > 0.5 * ((first == i) | (second == j)).sum()]
-
-
 def test_planes_differ_by_the_errors_of_both():
     """Two walls at 4 m, 30 cm apart; the second is known to 20 cm."""
     sure, unsure = (Planes.of([replace(BACK, covariance=np.diag([0, 0, 0, sigma_m**2]),

@@ -149,9 +149,9 @@ def test_restricted_to_where_depth_is_valid(regions):
 
 
 def test_the_floor_of_depth_scales_with_depth():
-    noise = Noise(0.0005, 1e-6, 0.1, 0.2, 0.3, 0.4).rescaled(2.0)
+    noise = Noise(0.0005, 1e-6, 0.1, 0.2, 0.3, 0.4, own_share=0.5).rescaled(2.0)
     disparity = np.array([0.2, 1.0])
     expected = 4 * Noise(0.0005, 1e-6).variance_floor(disparity)
     np.testing.assert_allclose(noise.variance_floor(2.0 * disparity), expected)
     assert (noise.source_sigma, noise.mean_sigma) == (0.2, 0.4)
-    assert (noise.slope_sigma, noise.pixel_sigma) == (0.6, 0.8)
+    assert (noise.slope_sigma, noise.pixel_sigma, noise.own_share) == (0.6, 0.8, 0.5)

@@ -14,17 +14,28 @@ from cell_helpers import (
     noisy,
     one_patch,
     rough_wall,
-    scored,
 )
 
 from plane_detector import segment_planes
-from plane_detector.evaluation.benchmark.samples import CURVED, curved_scene
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.evaluation.scenes.rendering import VGA
 from plane_detector.evaluation.scenes.rooms import single_wall
-from plane_detector.segmentation.cells.grid import build_cell_grid
-from plane_detector.segmentation.cells.model import weigh_cells
-from plane_detector.segmentation.cells.noise import Noise, estimate_noise, with_quantisation
+from plane_detector.segmentation.cells.grid import DisparityImage, build_cell_grid
+from plane_detector.segmentation.cells.model import (
+    LOCAL_RATIO,
+    MAX_LOCAL_RATIO,
+    MEAN_WEIGHT,
+    SLOPE_WEIGHT,
+    SQUARED_ERROR,
+    weigh_cells,
+)
+from plane_detector.segmentation.cells.noise import (
+    Noise,
+    estimate_noise,
+    least_around,
+    roughness_of,
+    with_quantisation,
+)
 from plane_detector.segmentation.cells.noise_correlation import Correlation
 from plane_detector.segmentation.cells.plane_fit import fit_planes
 
@@ -47,29 +58,6 @@ def test_the_step_of_rounded_disparities_is_found(step, yaw_deg):
     depth_m = rounded(single_wall(yaw_deg=yaw_deg).depth_m, step)
     assert step_of(depth_m) == pytest.approx(step, rel=0.01)
     assert len(segment_planes(depth_m, VGA).planes) == 1
-
-
-@pytest.mark.parametrize('seed', range(2))
-def test_rounded_rooms_do_not_fall_into_stripes(room, seed):
-    scene = room(seed)
-    result = scored(scene, segment_planes(rounded(scene.depth_m, 0.003), scene.intrinsics))
-    assert result.segmentation_covering > 0.95
-    assert result.precision > 0.9
-
-
-@pytest.mark.parametrize('content', [('column', 0.4), ('ball', 0.7), ('pipe', 0.25)])
-@pytest.mark.parametrize('step', [0.003, 0.01])
-def test_rounding_does_not_make_planes_of_curved_things(content, step):
-    """A sensor with steps in disparity is a sensor, not a network that bends planes."""
-    kind, radius_m = content
-    scene = curved_scene(CURVED.index((radius_m, (0, -15, 4), kind)))
-    depth_m = with_disparity_noise(scene.depth_m, 0.001, np.random.default_rng(0))
-    labels = segment_planes(rounded(depth_m, step), scene.intrinsics).labels
-    assert (labels[scene.labels < 0] >= 0).mean() < 0.1
-    for plane in range(len(scene.planes)):
-        is_plane = scene.labels == plane
-        own = labels == np.bincount(labels[is_plane] + 1).argmax() - 1
-        assert np.count_nonzero(own & is_plane) > 0.9 * np.count_nonzero(own | is_plane)
 
 
 @pytest.mark.parametrize('yaw_deg', [0, 5])
@@ -99,6 +87,44 @@ def test_cells_of_few_pixels_are_known_to_be_noisier():
     assert np.mean(residual**2 * table[:, 5]) == pytest.approx(1, abs=0.3)
     tilt = ((grid.slope - plane[:2])**2).sum(axis=1) / 2
     assert np.mean(tilt * table[:, 6]) == pytest.approx(1, abs=0.3)
+
+
+@pytest.mark.parametrize(('bending', 'smooth_ratio'), [(1.0, 9.0), (2.0, 3.0)])
+def test_a_cell_has_the_noise_that_its_pixels_show(bending, smooth_ratio):
+    """Of a systematic error, which bends planes, it has no more than the others."""
+    grid = build_cell_grid(disparity_image(bare_wall().depth_m))
+    noise = Noise(0.0, mean_sigma=0.003, slope_sigma=0.1, pixel_sigma=0.004, own_share=0.5,
+                  bending=bending)
+    rough = np.resize([0.1, 1e4, 0.1, 9.0], len(grid.mean)) * 0.5 * 0.004**2
+    table, even = (weigh_cells(replace(grid, roughness=one), noise).table[:4]
+                   for one in (rough, np.empty(0)))
+    assert table[:, LOCAL_RATIO] == pytest.approx([1, MAX_LOCAL_RATIO, 1, 9])
+    assert (even[:, LOCAL_RATIO] == 1).all()
+    for weight in (MEAN_WEIGHT, SLOPE_WEIGHT):
+        assert even[2:, weight] / table[2:, weight] == pytest.approx([1, smooth_ratio])
+    assert table[2:, SQUARED_ERROR] == pytest.approx(
+        64 * np.array([0.003**2 + 0.004**2, smooth_ratio * 0.003**2 + 9 * 0.004**2]))
+
+
+def test_the_roughness_of_a_cell_is_that_along_its_contours():
+    """Half the mean squared difference of neighbours, without slopes and steps."""
+    v, u = np.mgrid[:480, :640]
+    slanted = 0.5 + 0.01 * (u + v) + np.random.default_rng(0).normal(0, 0.002, v.shape)
+    for disparity in (slanted, slanted + 0.5 * (u >= 324)):
+        image = DisparityImage(disparity.astype(np.float32), np.ones(v.shape, bool))
+        rough = roughness_of(image, build_cell_grid(image))
+        assert np.sqrt(rough.mean()) == pytest.approx(0.002, rel=0.05)
+
+
+def test_the_roughness_around_is_the_third_least_or_the_own():
+    values = np.random.default_rng(0).uniform(1, 2, (7, 9))
+    usable = np.random.default_rng(1).random(values.shape) < 0.8
+    found = least_around(values.ravel(), usable.ravel(), 9).reshape(values.shape)
+    for row, column in np.ndindex(values.shape):
+        near = np.s_[max(row - 1, 0):row + 2, max(column - 1, 0):column + 2]
+        around = np.append(np.sort(values[near][usable[near]]), [np.inf] * 3)
+        expected = min(values[row, column], around[2]) if usable[row, column] else 0.0
+        assert found[row, column] == expected
 
 
 SIGMA = 0.01

@@ -117,9 +117,3 @@ def test_joints_belong_to_their_wall_if_they_are_shallow(depth_of_joints_m, belo
     assert (labels[~is_joint] == 0).mean() > 0.98
     share = (labels[is_joint] == 0).mean()
     assert share > 0.9 if belongs else share < 0.3
-
-
-def test_holes_in_the_depth_stay_holes():
-    depth_m, is_joint = wall_with_joints(0.0, 3)
-    depth_m[is_joint] = np.nan
-    assert (segment_planes(depth_m, JOINTED).labels[is_joint] == -1).all()
