@@ -29,7 +29,7 @@ setup(
         'opencv-python-headless>=4.8.1.78', 'pyyaml', 'scikit-learn', 'scipy', 'setuptools',
         'threadpoolctl>=3.0', 'tqdm'],
     extras_require={
-        'benchmark': ['h5py', 'matplotlib', 'pyransac3d'],
+        'benchmark': ['matplotlib', 'pyransac3d'],
         'dask': ['dask[distributed]'],
         'demo': ['scikit-image'],
         'export': ['onnx', 'torch', 'transformers'],

@@ -54,25 +54,6 @@ def pure_errors(shared: Overlap, true_planes: np.ndarray,
     return error_deg[is_pure], pixels[is_pure]
 
 
-def rand_index(counts: np.ndarray) -> float:
-    """Return the share of pixel pairs that both segmentations treat alike."""
-    counts = counts.astype(np.float64)
-    pixels = counts.sum()
-    apart = ((counts.sum(0) ** 2).sum() + (counts.sum(1) ** 2).sum()) / 2 - (counts**2).sum()
-    return float(1.0 - apart / (pixels * (pixels - 1) / 2))
-
-
-def variation_of_information(counts: np.ndarray) -> float:
-    """Return H1 + H2 - 2 MI in bits."""
-    joint = counts / counts.sum()
-    return float(2 * _entropy(joint.ravel()) - _entropy(joint.sum(0)) - _entropy(joint.sum(1)))
-
-
-def _entropy(probabilities: np.ndarray) -> float:
-    positive = probabilities[probabilities > 0]
-    return float(-(positive * np.log2(positive)).sum())
-
-
 def segmentation_covering(counts: np.ndarray) -> float:
     """Return the mean best IoU of the segments of both sides, weighted by their pixels."""
     return (covering_of_truth(counts) + covering_of_truth(counts.T)) / 2
@@ -89,8 +70,6 @@ def covering_of_truth(counts: np.ndarray) -> float:
 class Score:
     """The metrics of one image; see the functions and :func:`score`."""
 
-    rand_index: float
-    variation_of_information: float
     segmentation_covering: float
     recall: float
     precision: float
@@ -114,35 +93,10 @@ def score(true_labels: np.ndarray, true_planes: np.ndarray, labels: np.ndarray,
     cosine = np.abs((true_planes[true_index, :3] * planes[index, :3]).sum(1)).clip(0, 1)
     offset_error_m = np.abs(true_planes[true_index, 3] - planes[index, 3])
     return Score(
-        rand_index(shared.counts), variation_of_information(shared.counts),
         segmentation_covering(shared.counts),
         known_mean(matches[large].any(1)), known_mean(matches.any(0)),
         *(float(np.median(errors)) if errors.size else float('nan')
           for errors in (np.degrees(np.arccos(cosine)), offset_error_m)))
-
-
-RECALL_DEPTHS_M, RECALL_ANGLES_DEG = (0.05, 0.1, 0.2, 0.3, 0.6), (5.0, 10.0, 30.0)
-
-
-def recall_by_error(true_labels: np.ndarray, true_planes: np.ndarray, true_depth_m: np.ndarray,
-                    labels: np.ndarray, planes: np.ndarray, depth_m: np.ndarray,
-                    mask: np.ndarray) -> np.ndarray:
-    """
-    Return the recall of planes and of pixels, (2, 8), at RECALL_DEPTHS_M and RECALL_ANGLES_DEG.
-
-    A true plane is found at a limit if a predicted plane has IoU > 0.5 with it and the mean
-    difference of their depths (H, W) over the intersection, or the angle between their normals,
-    is at most that.
-    """
-    shared = overlap(true_labels, labels, mask)
-    off_m = _distances_of_matches(shared, true_labels, true_depth_m, labels, depth_m, mask)
-    cosine = np.abs(true_planes[:, :3] @ planes[:, :3].T).clip(0, 1)
-    off_deg = np.where(shared.iou > 0.5, np.degrees(np.arccos(cosine)), np.inf)
-    within = np.concatenate([off_m[..., None] <= RECALL_DEPTHS_M,
-                             off_deg[..., None] <= RECALL_ANGLES_DEG], axis=-1)
-    pixels_found = (shared.counts[:-1, :-1, None] * within).max(axis=1, initial=0)
-    return np.stack([within.any(axis=1).mean(axis=0), pixels_found.sum(axis=0)
-                     / max(shared.counts[:-1].sum(), 1)])
 
 
 def _distances_of_matches(shared: Overlap, true_labels: np.ndarray, true_depth_m: np.ndarray,

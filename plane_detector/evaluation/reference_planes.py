@@ -8,13 +8,12 @@ The best plane is the one close to most of the points, fitted to these by least 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from plane_detector.evaluation.datasets import Frame
-from plane_detector.evaluation.metrics import MIN_PIXELS, angle_deg
+from plane_detector.evaluation.metrics import angle_deg
 from plane_detector.geometry.projection import depth_to_points
 from plane_detector.pipeline import segment_planes
 from plane_detector.planes.classification import lowest_level, refine_gravity
@@ -25,10 +24,6 @@ TOLERANCE_M, TOLERANCE_SHARE = 0.03, 0.015
 MIN_SENSOR_PIXELS = 100
 MIN_POINTS = 3
 _MAX_SAMPLES, _HYPOTHESES, _REFITS = 1500, 300, 3
-# Of annotated instances. The share is assumed, not tuned, because no annotated image was
-# available: a smaller part is more likely a strip of a curved surface that is within the
-# tolerance by chance.
-MIN_INSTANCE_SHARE, MAX_PLANES = 0.2, 6
 
 
 @dataclass(frozen=True)
@@ -66,61 +61,6 @@ def true_floor(frame: Frame) -> Plane | None:
     planes = segment_planes(frame.depth_m, frame.intrinsics).planes
     down = refine_gravity(planes, np.array([0.0, 1.0, 0.0]), 40.0)
     return None if down is None else lowest_level(planes, down)
-
-
-def annotated_planes(segments: np.ndarray, depth_m: np.ndarray, intrinsics: CameraIntrinsics,
-                     rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """
-    Find the planes of each annotated instance, from the depth of a sensor.
-
-    In each instance the best plane is removed repeatedly, until few points remain. An instance
-    that is visible in several pieces, such as a wall behind furniture, is one plane; instances
-    are never merged.
-
-    Parameters
-    ----------
-    segments : (H, W) int
-        Instance of each pixel, 0 for none.
-    depth_m : (H, W) floating
-        NaN where not measured.
-    intrinsics : CameraIntrinsics
-    rng : numpy.random.Generator
-        For the hypotheses.
-
-    Returns
-    -------
-    labels : (H, W) int32
-        Index into the planes, or -1.
-    planes : (K, 4) float64
-        Unit normal pointing to the camera, and offset in metres.
-
-    """
-    points_m = depth_to_points(depth_m, intrinsics)
-    seen = np.isfinite(points_m[..., 2])
-    labels = np.full(segments.shape, -1, np.int32)
-    planes: list[np.ndarray] = []
-    for instance in range(1, int(segments.max(initial=0)) + 1):
-        rows, columns = np.nonzero(seen & (segments == instance))
-        for plane, inside in _peeled(points_m[rows, columns].astype(np.float64), rng):
-            labels[rows[inside], columns[inside]] = len(planes)
-            planes.append(plane)
-    return labels, np.array(planes).reshape(-1, 4)
-
-
-def _peeled(points_m: np.ndarray, rng: np.random.Generator,
-            ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Yield planes (4,) of points (N, 3), largest first, and the indices of the points on each."""
-    left = np.arange(len(points_m))
-    least = max(MIN_PIXELS, MIN_INSTANCE_SHARE * len(left))
-    for _ in range(MAX_PLANES):
-        if len(left) < least:
-            return
-        plane = best_plane(points_m[left], rng)
-        inside = near(points_m[left], plane)
-        if np.count_nonzero(inside) < least:
-            return
-        yield plane, left[inside]
-        left = left[~inside]
 
 
 def best_plane(points_m: np.ndarray, rng: np.random.Generator) -> np.ndarray:

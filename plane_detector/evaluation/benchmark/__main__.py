@@ -35,7 +35,6 @@ COMMANDS = {
     'relative': ('relative', 'angles in relative disparity with the errors of a network'),
     'orientation': ('orientation', 'directions from lines, and planes with them'),
     'node': ('node', 'the node as a process, over DDS'),
-    'nyu': ('nyu', 'NYU Depth V2, ours and the methods of the paper'),
     'ablation': ('ablation', 'each stage of the segmentation switched off'),
     'confidence': ('confidence', 'fit the confidence of planes and check it'),
 }
