@@ -27,7 +27,7 @@ MIN_PIXELS = 100
 # derived: two pixels of a camera with a focal length of 600 pixels.
 MIN_RAY_VARIANCE = 1e-6
 # Distance, as a share of the image width, beyond which errors of a depth map are uncorrelated.
-# tuned: benchmark scale on seeds from 1000; the range was not swept.
+# tuned: `benchmark scale` of a0cf012 on seeds from 1000; the range was not swept.
 CORRELATION_SHARE = 1.0 / 20.0
 
 

@@ -3,9 +3,9 @@
 """A room seen by a relative network, and what is known of its scale."""
 
 import numpy as np
+from labelled_regions import labelled_regions
 
 from plane_detector.config import ScaleConfig
-from plane_detector.evaluation.labelled_regions import labelled_regions
 from plane_detector.evaluation.scenes import rooms as scenes
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.planes.ray_planes import ray_planes

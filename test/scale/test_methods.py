@@ -6,10 +6,10 @@ import dataclasses
 
 import numpy as np
 import pytest
+from labelled_regions import labelled_regions
 from scale_helpers import SCALE, SHIFT, SMALL, estimate, evidence, relative_disparity, room, sparse
 
 from plane_detector.config import ScaleConfig
-from plane_detector.evaluation.labelled_regions import labelled_regions
 from plane_detector.evaluation.scenes import rooms as scenes
 from plane_detector.geometry.disparity import to_disparity
 from plane_detector.planes.ray_planes import ray_planes

@@ -26,17 +26,13 @@ from plane_detector.evaluation.benchmark.report import PROGRAM, emit, provenance
 COMMANDS = {
     'accuracy': ('accuracy', 'accuracy and time on all kinds of scenes, in one run'),
     'labelled': ('labelled', 'real frames with planes labelled by hand'),
-    'sensors': ('sensors', 'errors of planes of real and of simulated sensors'),
-    'time': ('runtime', 'run time on one thread'),
     'map': ('map', 'the map of planes, on rendered walks'),
     'ground': ('ground', 'ground, obstacles and drops on rendered terrain'),
     'shapes': ('shapes', 'spheres, cylinders and cones among planes'),
-    'scale': ('scale', 'angles and distances after each way to find the scale'),
     'relative': ('relative', 'angles in relative disparity with the errors of a network'),
     'orientation': ('orientation', 'directions from lines, and planes with them'),
     'node': ('node', 'the node as a process, over DDS'),
     'ablation': ('ablation', 'each stage of the segmentation switched off'),
-    'confidence': ('confidence', 'fit the confidence of planes and check it'),
 }
 
 

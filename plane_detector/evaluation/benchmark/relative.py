@@ -26,13 +26,8 @@ from plane_detector.config import Config, ScaleConfig
 from plane_detector.depth.estimator import BLUR_INPUT_PX
 from plane_detector.depth.networks import NETWORKS
 from plane_detector.depth.observation import DepthFunction
+from plane_detector.directions.finder import CameraImage, DirectionFinder
 from plane_detector.evaluation.benchmark.report import add_shared, emit, table
-from plane_detector.evaluation.benchmark.scale import (
-    SCALE_RANGE,
-    SHIFT_RANGE_PER_M,
-    View,
-    by_image_directions,
-)
 from plane_detector.evaluation.datasets import Frame, frames
 from plane_detector.evaluation.metrics import angle_deg
 from plane_detector.evaluation.peers import plane_array
@@ -44,9 +39,13 @@ from plane_detector.pipeline import PlaneDetector
 from plane_detector.planes.classification import PlaneClass
 from plane_detector.planes.ray_planes import ray_planes
 from plane_detector.scale.estimate import ScaleEstimate
+from plane_detector.scale.methods import ScaleEvidence, estimate_scale
+from plane_detector.segmentation.cells.pixel_regions import PixelRegions
 from plane_detector.segmentation.segment import segment, unitless_noise_floor
 from plane_detector.types import CameraIntrinsics
 
+# Of the simulated networks.
+SCALE_RANGE, SHIFT_RANGE_PER_M = (0.2, 5.0), (-0.05, 0.4)
 ERROR_SHARES = (0.015, 0.03, 0.05)
 # Of the smooth error, of the grain and of the blur of borders; lengths as shares of the width.
 CORRELATION_SHARE, GRAIN_SHARE, BLUR_SHARE = 1 / 7, 0.002, 1 / 320
@@ -56,6 +55,32 @@ REAL = ('kinect', 'nyu')
 DRAWS_PER_IMAGE = 2
 STATED_DEG = (0, 2, 4, 6, 8)  # borders of the rows of the calibration
 RAW, NOISE_SHARE = 'network_outputs', NETWORKS['depth_anything_v2_small'].noise_share
+
+
+@dataclass(frozen=True)
+class View:
+    """Output of a simulated network for an image, its planes, and the truth."""
+
+    disparity: np.ndarray
+    regions: PixelRegions
+    rgb: np.ndarray
+    intrinsics: CameraIntrinsics
+    true_depth_m: np.ndarray
+    true_scale: ScaleConfig
+
+    def estimate(self, config: ScaleConfig, **known: object) -> ScaleEstimate:
+        """Return the scale from the planes and other knowledge, see :class:`ScaleEvidence`."""
+        return estimate_scale(ScaleEvidence(
+            self.disparity, lambda: ray_planes(self.regions, self.intrinsics), **known), config)
+
+    def by_image(self) -> ScaleEstimate:
+        """Return the scale from gravity and horizontal axes of the lines of the image."""
+        around = DirectionFinder().find(
+            CameraImage(self.rgb, self.intrinsics, None, self.disparity, has_shift=True), None,
+            Config(), for_planes=True)
+        return self.estimate(
+            ScaleConfig(), gravity_camera=around.gravity.gravity_camera,
+            down_tolerance_deg=around.gravity.tolerance_deg, level_axes=around.level_axes)
 
 
 @dataclass(frozen=True)
@@ -75,8 +100,7 @@ def network_view(scene: Scene | Frame, error_share: float, rng: np.random.Genera
     relative = (scale * (disparity + shift)).astype(np.float32)
     truth = ScaleConfig(method='fixed', disparity_scale=1.0 / scale, disparity_shift=-shift)
     regions = segment(relative, unitless_noise_floor(relative), Config())
-    return View(relative, regions, scene.depth_m, scene.intrinsics, np.array([0.0, 1.0, 0.0]),
-                1.0, truth, rng, scene.rgb)
+    return View(relative, regions, scene.rgb, scene.intrinsics, scene.depth_m, truth)
 
 
 def with_network_errors(disparity: np.ndarray, share: float,
@@ -154,7 +178,7 @@ def report_simulated(data: Path, seeds: Sequence[int]) -> None:
             asked, found, published = 0, [], []
             for view in views(name, data, seeds, share):
                 asked += 1
-                estimate = by_image_directions(view, ScaleConfig())
+                estimate = view.by_image()
                 if estimate.has_true_angles:
                     found.append(angles(view, estimate))
                     published.append(published_deg(view))

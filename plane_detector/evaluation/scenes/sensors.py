@@ -5,8 +5,8 @@ Depth sensors, simulated on the exact depth of rendered scenes.
 
 Each function takes depth in metres, the camera and a generator and returns what the sensor would
 measure. The errors of the structured light were set so that residuals of its planes agree, octave
-by octave, with those of real Kinect frames (`benchmark sensors`, docs/results.md); they are of the
-same size in disparity from 0.8 to 3.8 m.
+by octave, with those of real Kinect frames (docs/results.md); they are of the same size in
+disparity from 0.8 to 3.8 m.
 
 References
 ----------

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Tests of the benchmark of relative disparity."""
+"""Simulated relative networks, on rendered and on real images."""
 
 import needs_onnxruntime  # noqa: F401
 import numpy as np
@@ -8,7 +8,10 @@ import pytest
 
 from plane_detector.config import ScaleConfig
 from plane_detector.evaluation.benchmark.relative import angles, network_view, with_network_errors
+from plane_detector.evaluation.datasets import frames
+from plane_detector.evaluation.reference_planes import true_floor
 from plane_detector.evaluation.scenes.rooms import random_room
+from plane_detector.scale.estimate import apply_scale
 
 
 def test_the_errors_have_the_stated_size():
@@ -29,3 +32,20 @@ def test_errors_by_the_shift_are_distinguished_from_those_of_the_network():
                           disparity_shift=true.shift + 0.2)
     bent = angles(view, view.estimate(shifted))
     assert bent.by_shift_deg > 5 and bent.at_true_shift_deg == found.at_true_shift_deg
+
+
+@pytest.mark.parametrize('name', ['kinect', 'nyu'])
+def test_camera_height_brings_real_images_to_metres(name, data_folder):
+    rng, errors = np.random.default_rng(5), []
+    for frame in frames(data_folder, (name,)):
+        if (floor := true_floor(frame)) is None:
+            continue
+        view = network_view(frame, 0.0, rng)
+        scale = view.estimate(ScaleConfig(camera_height=floor.offset_m), down_tolerance_deg=0.5,
+                              gravity_camera=-floor.normal)
+        if scale.method == 'camera_height':
+            depth_m = apply_scale(view.disparity, scale)
+            errors.append(np.nanmedian(np.abs(depth_m / frame.depth_m - 1)))
+        else:  # where no floor was segmented it refuses
+            assert not scale.is_metric
+    assert len(errors) >= 2 and max(errors) < 0.04

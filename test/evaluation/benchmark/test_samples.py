@@ -8,10 +8,8 @@ import needs_onnxruntime  # noqa: F401
 import numpy as np
 import pytest
 
-from plane_detector.config import ScaleConfig
 from plane_detector.evaluation import peers
 from plane_detector.evaluation.benchmark import orientation, samples, shapes
-from plane_detector.evaluation.benchmark import scale as benchmark_scale
 from plane_detector.evaluation.benchmark.ablation import STAGES, Without, changes
 from plane_detector.evaluation.benchmark.samples import (
     CURVED,
@@ -109,23 +107,6 @@ def test_changes_are_those_of_the_same_scene():
                      sample('less', '1', 0.8, 0.5), sample('less', '2', 0.4)], ('SC', 'recall'))
     assert found.splitlines()[2:] == ['| all stages | 0.700 / 1.000 |',
                                       '| without less | -0.100 (0.000) / -0.500 |']
-
-
-@pytest.mark.parametrize('name', ['kinect', 'nyu'])
-def test_camera_height_brings_real_images_to_metres(name, data_folder, monkeypatch):
-    monkeypatch.setattr(benchmark_scale, 'DRAWS_PER_IMAGE', 1)
-    answered = 0
-    for view in benchmark_scale.real_views(data_folder / name, np.random.default_rng(5)):
-        scale = view.estimate(ScaleConfig(camera_height=view.height_m), down_tolerance_deg=0.5,
-                              gravity_camera=view.gravity_camera)
-        if scale.method != 'camera_height':  # where no floor was segmented it refuses
-            assert not scale.is_metric
-            continue
-        answered += 1
-        errors = benchmark_scale.measure(view, scale)
-        assert np.median(errors.distance_share) < 0.04
-        assert np.median(errors.angle_deg) < 3.0
-    assert answered >= 2
 
 
 def test_planes_with_and_without(monkeypatch, capsys):
