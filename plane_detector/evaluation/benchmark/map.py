@@ -34,11 +34,9 @@ from plane_detector.evaluation.scenes.walks import (
     with_people,
 )
 from plane_detector.geometry.rigid_transform import RigidTransform
-from plane_detector.mapping.association import reach_of
-from plane_detector.mapping.cells import Cells, View, are_near, vote
 from plane_detector.mapping.heights import PlaneFrames, heights_of
-from plane_detector.mapping.map_plane import MapPlane, as_planes, frames_of, new_axes
-from plane_detector.mapping.plane_map import MapSnapshot, MapUpdate, PlaneMap
+from plane_detector.mapping.map_plane import MapPlane
+from plane_detector.mapping.plane_map import PlaneMap
 from plane_detector.planes.outline import PlacedDetection
 from plane_detector.types import CameraIntrinsics, Detection, Plane, Planes
 
@@ -137,9 +135,9 @@ class Score:
                        for name in self.__dataclass_fields__))
 
 
-def score(recording: Recording, kind: str, seed: int, make=PlaneMap) -> Score:
+def score(recording: Recording, kind: str, seed: int) -> Score:
     """Run the map over a recording with poses of a kind, and compare it with the truth."""
-    walked, result, planes = recording.walked, Score(), make()
+    walked, result, planes = recording.walked, Score(), PlaneMap()
     given = with_errors(walked.poses, kind, np.random.default_rng([seed, *kind.encode()]))
     last: dict[int, int] = {}
     taken: dict[int, int] = {}
@@ -263,65 +261,6 @@ def _misfit(face: Rectangle, plane: MapPlane, coefficients: Planes, k: int,
     return misfit, covariance, float(np.append(plane.cells.centroid_m, 1.0) @ misfit)
 
 
-class FixedThresholds:
-    """
-    The baseline, as SLAM systems associate planes: 5 cm and 10 degrees, under the poses given.
-
-    A found plane is the nearest one of the map that is within both and within reach. Coefficients
-    are averaged, cells voted as in the map.
-    """
-
-    def __init__(self) -> None:
-        self.planes: list[MapPlane] = []
-
-    def update(self, placed: PlacedDetection) -> MapUpdate:
-        """Add the planes of an image."""
-        found, taken = placed.planes, np.full(len(placed.planes), -1)
-        outlines = [np.vstack([found.centroids_m[k], *(one.corners_m for one in polygons)])
-                    for k, polygons in enumerate(placed.polygons)]
-        for k in range(len(found)):
-            taken[k] = self._nearest(found, k, outlines[k])
-            if taken[k] < 0:
-                taken[k] = len(self.planes)
-                self.planes.append(MapPlane(
-                    len(self.planes) + 1, found.centroids_m[k],
-                    new_axes(found.normals[k:k + 1], np.eye(3)[2])[0], np.zeros(3),
-                    1e-4 * np.eye(3), Cells.none(CELL_M), 0, 0.0, 0.0, 0, np.zeros(8)))
-        view = View.of(placed.detection.labels, placed.detection.depth_m, placed.intrinsics,
-                       placed.pose.inverse(), len(found), placed.detection.disparity_noise)
-        for index in set(taken.tolist()):
-            plane, own = self.planes[index], np.flatnonzero(taken == index)
-            frames = frames_of([plane] * len(own))
-            heights = heights_of(frames, found, own)[0].mean(axis=0)
-            flat_m = plane.flat(np.concatenate([outlines[k] for k in own]))
-            self.planes[index] = replace(
-                plane, views=plane.views + 1, coefficients=plane.coefficients
-                + (heights - plane.coefficients) / (plane.views + 1),
-                cells=plane.cells.grown(flat_m.min(axis=0), flat_m.max(axis=0)))
-        lows = np.array([plane.cells.low for plane in self.planes]).reshape(-1, 2)
-        steps = view.steps(frames_of(self.planes), lows, CELL_M)
-        to_camera = np.array([(placed.pose.translation_m - plane.origin_m) @ plane.axes[2]
-                              for plane in self.planes])
-        for index in np.flatnonzero(to_camera > 0):
-            plane = self.planes[index]
-            self.planes[index] = replace(plane, cells=vote(view, steps[index], plane.cells,
-                                                           taken == index, 0.03))
-        return MapUpdate(np.array([self.planes[k].label for k in taken], int), 1.0)
-
-    def snapshot(self) -> MapSnapshot:
-        """Return the planes that are left."""
-        kept = tuple(plane for plane in self.planes if not plane.cells.is_gone)
-        return MapSnapshot(kept, as_planes(kept), RigidTransform.identity())
-
-    def _nearest(self, found: Planes, k: int, outline_m: np.ndarray) -> int:
-        off_m = [abs(found.centroids_m[k] @ normal + offset_m) if (
-            normal @ found.normals[k] > SAME_SIDE and are_near(
-                plane.flat(outline_m), plane.cells, reach_of(plane, np.eye(3)[2])) > 0) else np.inf
-            for plane, normal, offset_m in zip(
-                self.planes, *frames_of(self.planes).as_planes()[:2], strict=True)]
-        return int(np.argmin(off_m)) if off_m and min(off_m) < 0.05 else -1
-
-
 @dataclass(frozen=True)
 class Case:
     """Rooms, noise and poses of one line of the table."""
@@ -346,16 +285,11 @@ CASES = (
     Case('people, drift', ('crate',), 0.001, 'drift', 'people'))
 
 
-BASELINE = ', fixed thresholds'
-METHODS = ('', PlaneMap), (BASELINE, FixedThresholds)
-
-
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument('--walks', type=at_least_one, default=2, help='of each kind of room')
     parser.add_argument('--images', type=at_least_one, default=100, help='of each walk')
     parser.add_argument('--only', default='', help='cases with this in their name')
-    parser.add_argument('--baseline', action='store_true', help='fixed thresholds beside it')
     parser.add_argument('--vga', action='store_true', help='640 x 480 instead of 320 x 240')
     add_shared(parser, '--first-seed', '--processes')
 
@@ -374,23 +308,20 @@ def run(options: argparse.Namespace) -> None:
             for seed in seeds:
                 jobs[room, seed, case.noise, case.variant].append(case)
     camera = VGA if options.vga else QVGA
-    work = [(key, tuple(cases), options.images, camera, options.baseline)
-            for key, cases in jobs.items()]
+    work = [(key, tuple(cases), options.images, camera) for key, cases in jobs.items()]
     totals: dict[str, Score] = {}
     for scores in in_parallel(_scores, work, options.processes, 'walks'):
         for title, one in scores.items():
             totals[title] = totals.get(title, Score()) + one
-    order = [title for case in chosen for title in (case.title, case.title + BASELINE)]
     emit(f'{len(seeds)} walks of each kind of room, seeds {seeds[0]} to {seeds[-1]}, '
          f'{options.images} images of {camera.width} x {camera.height}',
-         table(HEADER, [row(title, totals[title]) for title in order if title in totals]))
+         table(HEADER, [row(case.title, totals[case.title]) for case in chosen]))
 
 
 def _scores(work: tuple) -> dict[str, Score]:
-    (room, seed, noise, variant), cases, images, camera, with_baseline = work
+    (room, seed, noise, variant), cases, images, camera = work
     recording = record(room, seed, noise, images, camera, variant)
-    return {case.title + suffix: score(recording, case.poses, seed, make)
-            for suffix, make in METHODS[:1 + with_baseline] for case in cases}
+    return {case.title: score(recording, case.poses, seed) for case in cases}
 
 
 def row(title: str, total: Score) -> list[str]:
