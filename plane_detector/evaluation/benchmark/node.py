@@ -5,8 +5,7 @@ The node as a separate process over DDS: rate, latency, time on the cores, memor
 
 Views are published at a constant rate: image, camera_info and, for depth from a topic, depth. They
 are real images with sensor depth, or a rendered room. Three processes share the cores: the camera
-(this program), the node, and a receiver that takes the outputs as bytes. With ``--walk``, the
-camera moves, and each image has a transform.
+(this program), the node, and a receiver that takes the outputs as bytes.
 """
 
 from __future__ import annotations
@@ -20,35 +19,28 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import TransformStamped
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
-from sensor_msgs.msg import CameraInfo, Image, PointCloud2
+from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import Header
 from tqdm import tqdm
 
 from plane_detector.config import DepthConfig
 from plane_detector.depth.networks import resolve
-from plane_detector.evaluation.benchmark import node_with_tf
 from plane_detector.evaluation.benchmark.report import HELD_OUT, add_shared, emit, table
 from plane_detector.evaluation.benchmark.samples import room
 from plane_detector.evaluation.datasets import Frame, frames
-from plane_detector.evaluation.scenes.noise import with_disparity_noise
-from plane_detector.evaluation.scenes.rendering import VGA
-from plane_detector.evaluation.scenes.walks import ROOMS, walk
-from plane_detector.geometry.rigid_transform import RigidTransform
 from plane_detector.process import retain_freed_memory
 from plane_detector.ros.calibration import camera_info_to_msg
 from plane_detector.ros.outputs import messages
@@ -67,12 +59,6 @@ _STAGES = ('convert', 'depth', 'directions', 'segmentation', 'measurement', 'gro
 _ROOM = 'room'
 _RELIABLE = QoSProfile(depth=2, reliability=ReliabilityPolicy.RELIABLE)
 _INPUTS = {'camera_info': CameraInfo, 'depth': Image, 'image': Image}
-_LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-MAPS = {'no': {}, 'no, but target_frame': {'target_frame': 'odom'},
-        'yes': {'target_frame': 'odom', 'map.enabled': True}}
-_WALK_HZ = 10.0, 30.0
-_WALK_IMAGES = 150  # rendered, once around a room
-_FRAME = 'camera_optical_frame'
 _SPIN_S, _SETTLING_S, _START_TIMEOUT_S, _STOP_TIMEOUT_S = 0.05, 3.0, 120.0, 10.0
 _TICK_S = 1 / os.sysconf('SC_CLK_TCK')
 _STAMP_AT = 4  # derived: after the header of CDR, the stamp is the first field
@@ -86,8 +72,6 @@ class Show:
     views: Sequence[Frame]  # shown in turn, each for HELD_S
     rate_hz: float  # of the images
     motion_px: int = 0  # each image is moved sideways against the one before; 0: a still camera
-    # From the camera to the world at each view, which is then shown once; without: none is sent.
-    poses: Sequence[RigidTransform] = ()
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -103,9 +87,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help='by which each image is moved sideways against the one before; 0: a '
                              'still camera, with which the node has less work')
     parser.add_argument('--seconds', type=_seconds, default=10.0, help='of every row')
-    parser.add_argument('--walk', default='',
-                        help='with and without a map of planes: a set with poses.txt, or a '
-                             f'rendered room: {", ".join(ROOMS)}')
 
 
 def _rate(text: str) -> float:
@@ -125,13 +106,6 @@ def run(options: argparse.Namespace) -> None:
     """Print the tables."""
     retain_freed_memory(one_heap=True)  # as the node does
     use_private_domain()
-    if options.walk:
-        rclpy.init()
-        try:
-            report_map(walk_of(options.walk, options.data), options.seconds)
-        finally:
-            rclpy.try_shutdown()
-        return
     if options.views == _ROOM:
         scene, title = room(HELD_OUT), f'room {HELD_OUT}'
         views = [Frame(_ROOM, title, scene.rgb, scene.depth_m, scene.intrinsics)]
@@ -156,36 +130,6 @@ def use_private_domain() -> None:
     os.environ['ROS_DOMAIN_ID'] = str(1 + os.getpid() % 100)  # above 101 ports may clash
     os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
     os.environ.setdefault('FASTRTPS_DEFAULT_PROFILES_FILE', str(_PROFILE))
-
-
-def walk_of(name: str, data: Path) -> Show:
-    """Return what a moving camera shows; its end is its start, so that it goes on and on."""
-    if name in ROOMS:
-        rng = np.random.default_rng(HELD_OUT)
-        walked = walk(name, rng, _WALK_IMAGES)
-        scenes = [walked.scene(k, VGA, rng) for k in range(_WALK_IMAGES)]
-        views = [Frame(name, str(k), scene.rgb, with_disparity_noise(scene.depth_m, 0.001, rng),
-                       VGA) for k, scene in enumerate(scenes)]
-        return Show(f'walk through room {name} {HELD_OUT}', views, 0.0, poses=walked.poses)
-    views = list(frames(data, (name,)))
-    rows = np.loadtxt(data / name / 'poses.txt', usecols=range(1, 13)).reshape(-1, 3, 4)
-    poses = [RigidTransform(row[:, :3], row[:, 3]) for row in rows]
-    return Show(f'{len(views)} images of {name}, there and back', views + views[::-1], 0.0,
-                poses=poses + poses[::-1])
-
-
-def report_map(show: Show, seconds: float) -> None:
-    """Print measurements of the node with and without a map, by rate of the images."""
-    rows, lens = [], show.views[0].intrinsics
-    for rate_hz in _WALK_HZ:
-        for title, parameters in MAPS.items():
-            cells = _measured(DepthConfig(source='topic'), ('planes',),
-                              replace(show, rate_hz=rate_hz), seconds, parameters)
-            rows.append([f'{rate_hz:g}', title, *cells.values()])
-    emit(f'### The map of the node over DDS: {show.title}, {lens.width} x {lens.height}',
-         table(('images (Hz)', 'map', *cells), rows),
-         'Transforms come by a stand-in for tf2_ros. Columns as without --walk; maps: messages of '
-         '~/map/planes a second, and planes in the last one.')
 
 
 def sources(model: str) -> Iterator[tuple[str, DepthConfig]]:
@@ -219,12 +163,11 @@ def report_load(found: Sequence[tuple[str, DepthConfig]], show: Show, seconds: f
          '/diagnostics says. Load: of the machine in the minute before.')
 
 
-def _measured(depth: DepthConfig, outputs: Sequence[str], show: Show, seconds: float,
-              others: Mapping[str, object] = MappingProxyType({})) -> dict[str, str]:
+def _measured(depth: DepthConfig, outputs: Sequence[str], show: Show,
+              seconds: float) -> dict[str, str]:
     """Start a node and a receiver, feed them, and end them."""
-    parameters = {'depth.source': depth.source, 'depth.model': depth.model, **others}
     with (tempfile.TemporaryDirectory() as folder, Receiver(outputs) as receiver,
-          node_process(parameters, Path(folder, 'node.log')) as process):
+          node_process(depth, Path(folder, 'node.log')) as process):
         camera = Camera(process, show, depth.source == 'topic', receiver)
         try:
             return camera.measure(seconds)
@@ -236,14 +179,12 @@ def _measured(depth: DepthConfig, outputs: Sequence[str], show: Show, seconds: f
 
 
 @contextmanager
-def node_process(parameters: dict[str, object], log_path: Path) -> Iterator[subprocess.Popen]:
-    """Run the node with these parameters; it is ended with SIGINT, by force if need be."""
-    module = (node_with_tf.__name__ if 'target_frame' in parameters
-              else 'plane_detector.ros.node')
-    options = [word for name, value in parameters.items() for word in ('-p', f'{name}:={value}')]
+def node_process(depth: DepthConfig, log_path: Path) -> Iterator[subprocess.Popen]:
+    """Run the node with a source of depth; it is ended with SIGINT, by force if need be."""
     with open(log_path, 'wb') as log:
         process = subprocess.Popen(
-            [sys.executable, '-m', module, '--ros-args', *options],
+            [sys.executable, '-m', 'plane_detector.ros.node', '--ros-args', '-p',
+             f'depth.source:={depth.source}', '-p', f'depth.model:={depth.model}'],
             stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT,
             start_new_session=True)  # Ctrl-C reaches only this program, which ends the node
     try:
@@ -315,10 +256,8 @@ class Camera:
     def __init__(self, process: subprocess.Popen, show: Show, with_depth: bool,
                  receiver: Receiver) -> None:
         self._process, self._receiver = process, receiver
-        shifts = (0,) if show.poses else _SHIFTS
-        self._views = [[input_messages(_moved(view, shift * show.motion_px)) for shift in shifts]
+        self._views = [[input_messages(_moved(view, shift * show.motion_px)) for shift in _SHIFTS]
                        for view in show.views]
-        self._transforms = [transform_message(pose) for pose in show.poses]
         self._node = rclpy.create_node('plane_detector_load')
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self._node)
@@ -327,10 +266,6 @@ class Camera:
             for name, msg_type in _INPUTS.items() if with_depth or name != 'depth'}
         self._statuses: list[dict[str, str]] = []
         self._node.create_subscription(DiagnosticArray, '/diagnostics', self._on_diagnostics, 10)
-        self._node.create_subscription(PointCloud2, f'{NODE}/map/planes',
-                                       lambda msg: self._map_sizes.append(msg.width), _LATCHED)
-        self._to_tf = self._node.create_publisher(TransformStamped, node_with_tf.TOPIC, 100)
-        self._map_sizes: list[int] = []
         self._rate_hz, self._sent = show.rate_hz, 0
 
     def close(self) -> None:
@@ -354,7 +289,6 @@ class Camera:
         self._spin(_SETTLING_S)
         self._receiver.taken()
         self._statuses.clear()
-        self._map_sizes.clear()
         sent = self._sent
         core_s, waited_s = core_seconds(process_id), waiting_seconds(process_id)
         elapsed_s = self._spin(seconds)
@@ -373,15 +307,7 @@ class Camera:
                 'latency: median (ms)': f'{median_ms:.1f}', '95 % (ms)': f'{most_ms:.1f}',
                 'worst (ms)': f'{worst_ms:.1f}', 'resident (MB)': f'{resident_mb(process_id):.0f}',
                 'ready after (s)': f'{start_s:.1f}',
-                **self._of_map(elapsed_s, stage_ms),
                 **{f'{stage} (ms)': f'{stage_ms.get(stage, 0.0):.1f}' for stage in _STAGES}}
-
-    def _of_map(self, elapsed_s: float, stage_ms: Mapping[str, float]) -> dict[str, str]:
-        if not self._transforms:
-            return {}
-        last = self._map_sizes[-1] if self._map_sizes else 0
-        return {'maps (Hz), planes': f'{len(self._map_sizes) / elapsed_s:.1f}, {last}',
-                'map (ms)': f'{stage_ms.get("map", 0.0):.1f}'}
 
     def _spin_until(self, condition: Callable[[], object]) -> None:
         deadline_s = time.monotonic() + _START_TIMEOUT_S
@@ -401,13 +327,8 @@ class Camera:
 
     def _publish(self) -> None:
         stamp = self._node.get_clock().now().to_msg()
-        shown = self._sent if self._transforms else int(self._sent / self._rate_hz / HELD_S)
-        view = self._views[shown % len(self._views)]
-        image = view[self._sent % len(view)]
-        if self._transforms:
-            transform = self._transforms[shown % len(self._transforms)]
-            transform.header.stamp = stamp
-            self._to_tf.publish(transform)
+        shown = int(self._sent / self._rate_hz / HELD_S)
+        image = self._views[shown % len(self._views)][self._sent % len(_SHIFTS)]
         self._sent += 1
         for name, publisher in self._publishers.items():
             image[name].header.stamp = stamp
@@ -420,20 +341,10 @@ class Camera:
 
 def input_messages(view: Frame) -> dict[str, Any]:
     """Return the messages that a camera publishes for a view, by topic."""
-    header = Header(frame_id=_FRAME)
+    header = Header(frame_id='camera_optical_frame')
     return {'camera_info': camera_info_to_msg(header, view.intrinsics),
             'depth': messages.depth_to_msg(header, view.depth_m),
             'image': messages.rgb_to_msg(header, view.rgb)}
-
-
-def transform_message(pose: RigidTransform) -> TransformStamped:
-    """Return the pose of the camera in odom."""
-    msg = TransformStamped(header=Header(frame_id='odom'), child_frame_id=_FRAME)
-    for name, value in zip('xyz', pose.translation_m.tolist(), strict=True):
-        setattr(msg.transform.translation, name, value)
-    for name, value in zip('xyzw', pose.quaternion.tolist(), strict=True):
-        setattr(msg.transform.rotation, name, value)
-    return msg
 
 
 def _moved(view: Frame, shift_px: int) -> Frame:

@@ -11,7 +11,6 @@ from plane_detector.config import DepthConfig
 from plane_detector.evaluation.benchmark import node as benchmark_node
 from plane_detector.evaluation.benchmark.node import Show, use_private_domain
 from plane_detector.evaluation.datasets import Frame
-from plane_detector.geometry.rigid_transform import RigidTransform
 from plane_detector.ros.outputs.topics import OUTPUTS
 
 TOPIC = [('depth topic', DepthConfig(source='topic'))]
@@ -59,18 +58,3 @@ def test_the_running_node_is_measured(ros, room, monkeypatch, capsys):
     assert 0 < total == pytest.approx(sum(stages), abs=1 + 0.1 * total)
     assert busy_ms + waiting_ms > 0.3 * total, 'the threads of the process are found'
     assert share == pytest.approx(0.1 * busy_ms * float(row[2]), abs=1 + 0.05 * share)
-
-
-def test_the_map_of_a_walk_is_measured(ros, room, monkeypatch, capsys):
-    monkeypatch.setattr(benchmark_node, 'MAPS', {'yes': benchmark_node.MAPS['yes']})
-    monkeypatch.setattr(benchmark_node, '_WALK_HZ', (5.0,))
-    benchmark_node.report_map(Show('standing', views(room)[:1], 0.0,
-                                   poses=[RigidTransform.identity()]), 3.0)
-    printed = capsys.readouterr().out
-    (head,) = [line for line in printed.splitlines() if line.startswith('| images')]
-    cells = dict(zip([cell.strip() for cell in head.strip('|').split('|')], rows(printed)[0],
-                     strict=True))
-    maps_hz, planes = map(float, cells['maps (Hz), planes'].split(', '))
-    assert 0 < maps_hz <= 2.5
-    assert planes >= 3
-    assert float(cells['map (ms)']) > 0
