@@ -94,7 +94,15 @@ def test_a_surface_ahead_is_evidence_for_looking_down_and_its_absence_is_none():
     disparity = np.ones((48, 64), np.float32)
     ahead, aside = np.tile([0.0, 0.0, 1.0], (9, 1)), np.tile([1.0, 0.0, 0.0], (9, 1))
     assert log_odds_down(disparity, ahead) > 1
-    assert log_odds_down(disparity, aside) == log_odds_down(disparity, aside[:0]) == 0
+    assert log_odds_down(disparity, aside[:0]) == 0
+    assert log_odds_down(disparity, aside) == pytest.approx(0, abs=1e-9)
+
+
+@pytest.mark.parametrize(('far', 'is_likely'), [(0.7, True), (0.2, False)])
+def test_from_above_nothing_is_five_times_as_far(far, is_likely):
+    disparity, aside = np.ones((48, 64), np.float32), np.tile([1.0, 0.0, 0.0], (9, 1))
+    disparity[:, 32:] = far  # no trend from top to bottom
+    assert (log_odds_down(disparity, aside) > 0) == is_likely
 
 
 def test_a_wall_ahead_with_a_floor_is_still_a_wall():

@@ -40,7 +40,7 @@ SCENES: dict[str, Callable] = {
     'rooms': rooms.random_room, 'rooms, camera rolled by 10 deg': textures.rolled_room,
     'rooms from straight above': textures.room_from_above,
     'rooms, floor rising by 8 deg': textures.ramp_room, 'attics': rooms.attic,
-    'hexagonal rooms': rooms.hexagon_room}
+    'hexagonal rooms': rooms.hexagon_room, 'corridors': rooms.corridor}
 WAYS = {'without': DirectionsConfig(gravity=False, orient_planes=False),
         'with': DirectionsConfig()}
 

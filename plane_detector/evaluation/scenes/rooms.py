@@ -86,6 +86,18 @@ def attic(rng: np.random.Generator, intrinsics: CameraIntrinsics = VGA) -> Scene
     return render(faces, rotation, position, intrinsics, rng)
 
 
+def corridor(rng: np.random.Generator, intrinsics: CameraIntrinsics = VGA) -> Scene:
+    """Return the view along a corridor of 9 to 16 m with a ceiling and a pillar."""
+    width, length, height = rng.uniform(1.8, 3.0), rng.uniform(9.0, 16.0), rng.uniform(2.4, 3.0)
+    faces = box(np.array([width, length, height]) / 2, np.array([width, length, height]))
+    pillar_m, side = rng.uniform(3.0, 4.5), rng.uniform(0.35, 0.6)
+    faces += box(np.array([width - side / 2, pillar_m, height / 2]),
+                 np.array([side, side, height]))
+    rotation = camera_rotation(rng.uniform(-14, 14), rng.uniform(-6, 3), rng.uniform(-2, 2))
+    position = np.array([width * rng.uniform(0.35, 0.5), 0.4, rng.uniform(1.2, 1.6)])
+    return render(faces, rotation, position, intrinsics, rng)
+
+
 def hexagon_room(rng: np.random.Generator, intrinsics: CameraIntrinsics = VGA) -> Scene:
     """Return an empty hexagonal room: its walls meet at 120 degrees."""
     radius, height = rng.uniform(2.5, 4.5), np.array([0.0, 0.0, rng.uniform(2.3, 3.2)])
