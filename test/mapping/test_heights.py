@@ -72,7 +72,7 @@ def test_an_error_of_the_pose_is_the_same_on_both_ways():
 
 
 def test_chi_squared_of_a_shift_of_three_deviations():
-    frames = PlaneFrames(np.zeros((1, 3)), np.eye(3)[None], np.zeros((1, 3)),
+    frames = PlaneFrames(np.zeros((1, 3)), np.eye(3)[None], np.array([[0.1, 0, 2.0]]),
                          np.diag([1.0, 1.0, 0.5])[None])
-    assert squared_misfits(frames, np.array([[0, 0, 3.0]]), np.diag([1.0, 1.0, 0.5])[None]
+    assert squared_misfits(frames, np.array([[0.1, 0, 5.0]]), np.diag([1.0, 1.0, 0.5])[None]
                            ) == pytest.approx([9.0])

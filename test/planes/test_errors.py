@@ -63,7 +63,7 @@ def z_scores(make, seeds, blur_px, sigma=SIGMA, **stated):
     return np.array(scores)
 
 
-@pytest.mark.parametrize('blur_px', [0, 4, 12, 24])
+@pytest.mark.parametrize('blur_px', [0, 12])
 @pytest.mark.parametrize(('make', 'seeds'), [(wall, 24), (floor, 24), (random_room, 12)])
 def test_errors_are_those_published(make, seeds, blur_px):
     scores = z_scores(make, range(seeds), blur_px)

@@ -37,19 +37,17 @@ def test_a_hole_takes_the_plane_of_its_own_patch():
     assert (given[10:20, 10:30] == -1).all()
 
 
-@pytest.mark.parametrize('depth_m', [1.4, 2.6, np.nan])
-def test_depth_of_another_surface_is_not_filled(depth_m):
+@pytest.mark.parametrize(('hole', 'depth_m', 'is_shape', 'is_patch'), [
+    (np.s_[10:20, 5:15], 1.4, False, True), (np.s_[10:20, 5:15], 2.6, False, True),
+    (np.s_[10:20, 5:15], np.nan, False, True),  # another surface
+    (np.s_[:, 4:20], 2.0, False, True), (np.s_[:, 4:20], 2.0, True, True),  # most of the patch
+    (np.s_[8:20, :10], 2.0, False, False)])
+def test_what_is_of_another_surface_or_of_no_patch_is_not_filled(hole, depth_m, is_shape,
+                                                                 is_patch):
     patches, planes, labels, depths_m = two_walls()
-    labels[10:20, 5:15], depths_m[10:20, 5:15] = -1, depth_m
-    np.testing.assert_array_equal(fill_patches(labels, patches, planes, depths_m, CAMERA), labels)
-
-
-@pytest.mark.parametrize('is_shape', [False, True])
-def test_a_patch_mostly_on_no_plane_or_on_a_shape_stays(is_shape):
-    patches, planes, labels, depths_m = two_walls()
-    labels[:, 4:20] = -1
-    shape_labels = np.full(SHAPE, -1, np.int32)
-    shape_labels[2:, 4:20] = 0 if is_shape else -1
+    labels[hole], depths_m[hole] = -1, depth_m
+    shape_labels = np.where((labels < 0) & is_shape, 0, -1).astype(np.int32)
+    patches[2:5] *= is_patch
     np.testing.assert_array_equal(
         fill_patches(labels, patches, planes, depths_m, CAMERA, shape_labels), labels)
 
@@ -61,12 +59,6 @@ def test_a_shape_in_the_patch_of_a_wall_is_not_filled():
     shape_labels[10:20, 2:6] = 0
     filled = fill_patches(labels, patches, planes, depths_m, CAMERA, shape_labels)
     np.testing.assert_array_equal(filled == -1, shape_labels == 0)
-
-
-def test_pixels_of_no_patch_stay():
-    patches, planes, labels, depths_m = two_walls()
-    patches[2:5], labels[8:20, :10] = 0, -1
-    np.testing.assert_array_equal(fill_patches(labels, patches, planes, depths_m, CAMERA), labels)
 
 
 def test_without_planes_the_labels_are_returned():
