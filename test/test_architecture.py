@@ -2,8 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The structure of the package, read from the sources: allowed imports."""
 
-from __future__ import annotations
-
 import ast
 import sys
 import xml.etree.ElementTree as ElementTree
@@ -196,14 +194,3 @@ def test_evaluation_is_not_installed():
     assert {'plane_detector.ros', 'plane_detector.tools.replay'} <= set(found)
     assert not [name for name in found if 'evaluation' in name]
     assert {name.split('.')[0] for name in found} == {PACKAGE.name}
-
-
-def test_entry_points_lead_to_a_main():
-    lines = (ROOT / 'setup.py').read_text(encoding='utf-8').splitlines()
-    entries = [line.split("'")[1].split(' = ')[1] for line in lines if ':main' in line]
-    assert len(entries) >= 3
-    for entry in entries:
-        module = entry.removesuffix(':main').replace('{NAME}', 'plane_detector').split('.')
-        tree = ast.parse(ROOT.joinpath(*module).with_suffix('.py').read_text(encoding='utf-8'))
-        assert 'main' in {node.name for node in ast.walk(tree)
-                          if isinstance(node, (ast.FunctionDef, ast.alias))}

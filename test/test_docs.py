@@ -2,8 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """README.md and docs/ are correct: links, commands, snippets, tables."""
 
-from __future__ import annotations
-
 import importlib
 import importlib.util
 import re

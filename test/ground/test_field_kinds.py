@@ -115,13 +115,6 @@ def test_the_range_of_a_sensor_is_no_edge(limit_m, is_range, height_m, pitch_deg
     assert len(found.drops_m) == 0 and not found.drop_note
 
 
-def test_drops_within_the_range_stay():
-    view = seen(course(1.4, 0.2), 0.8, 20, noise=0.001)
-    found = detect(view, np.where(view.depth_m > 2.5, np.nan, view.depth_m))
-    assert len(found.drops_m) > 200
-    assert abs(view.in_world(found.drops_m)[:, 1] - 1.4).max() < 0.05
-
-
 @pytest.mark.parametrize('roll_deg', [0, 90, 180])
 def test_a_border_without_depth_is_no_edge(roll_deg):
     view = seen(course(4.0), 1.2, 18, roll_deg, noise=0.001)

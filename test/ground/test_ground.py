@@ -17,7 +17,6 @@ from plane_detector.evaluation.scenes.terrain import (
     Course,
     Kind,
     View,
-    clutter,
     hole,
     kerb,
     look,
@@ -205,15 +204,6 @@ def test_a_hole_and_the_end_of_all_are_drops(make, least):
     found = detect(terrain)
     assert len(found.drops_m) > least and off_edges_m(found, terrain).max() < 0.05
     assert np.isnan(found.drop_depths_m).all() == (make is quay)
-
-
-def test_boxes_are_obstacles_and_hide_what_is_behind():
-    terrain = course(clutter, start_m=1.3)
-    found = detect(terrain)
-    assert share(found, terrain, Kind.FLOOR) > 0.98
-    high = (terrain.kinds == Kind.OBSTACLE) & (terrain.above_m > 0.05)
-    assert high.sum() > 5000 and found.ground[high].mean() < 0.02
-    assert len(found.drops_m) == 0
 
 
 def test_an_edge_behind_a_box_is_not_claimed():

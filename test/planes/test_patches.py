@@ -2,8 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Pixels on no plane take the plane of most of their patch, if their depth allows it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

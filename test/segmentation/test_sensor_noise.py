@@ -52,19 +52,20 @@ def test_smooth_errors_without_grain_are_those_of_filtered_depth():
             assert low <= noise_of(depth_m).bending <= high
 
 
+def test_a_bow_is_no_error_that_wanders():
+    """Of smooth noise without grain about a bowed wall; the bow alone would grow as filtered."""
+    x, y = np.linspace(-1, 1, 640), np.linspace(-1, 1, 480)[:, None]
+    bowed_m = (1 / (1 / WALL.depth_m + 0.004 * (x * x + 0.5 * y * y))).astype(np.float32)
+    for seed in range(2):
+        assert noise_of(with_disparity_noise(bowed_m, 0.001, np.random.default_rng(seed), 1.0,
+                                             10.0)).bending < 1.1
+
+
 def test_exact_and_white_depth_have_no_systematic_errors():
     white = 1 / WALL.depth_m + np.random.default_rng(0).normal(0, 0.002, WALL.depth_m.shape)
     exact = noise_of(WALL.depth_m)
     assert exact.bending < 1.01 or exact.mean_sigma < 1e-6
     assert noise_of(1 / white).bending < 1.5
-
-
-def test_a_wall_that_a_sensor_bends_is_one_plane():
-    for seed in range(3):
-        walk = random_walk(WALL.depth_m.shape, np.random.default_rng(seed))
-        result = segment_planes((1 / (1 / WALL.depth_m + 0.003 * walk)).astype(np.float32),
-                                WALL.intrinsics)
-        assert np.bincount(result.labels[result.labels >= 0]).max() > 0.97 * result.labels.size
 
 
 @pytest.mark.parametrize('sensor', ['structured light', 'filled, 8 bit'])

@@ -2,8 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Detection of shapes in rendered rooms, without false shapes."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import lru_cache
 

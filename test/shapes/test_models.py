@@ -2,8 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Spheres, cylinders and cones: from oriented points, distances, derivatives, least squares."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import optimize

@@ -2,8 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Labels of shapes from image to image."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from plane_detector.config import Config, ShapesConfig

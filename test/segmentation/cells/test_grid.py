@@ -27,9 +27,9 @@ def bumpy(seed, holes=0.2):
 
 
 def brute_force(image, size):
-    """Return the moments of each cell and the cell's least-squares plane, by loops."""
+    """Return moments and least-squares plane of each cell, and pixels of the first, by loops."""
     x, y = ((np.arange(side) - (side - 1) / 2) / SHAPE[1] for side in (SHAPE[1], SHAPE[0]))
-    moments, planes = [], []
+    moments, planes, first = [], [], ()
     for row in range(0, SHAPE[0], size):
         for column in range(0, SHAPE[1], size):
             part = np.s_[row:row + size, column:column + size]
@@ -40,7 +40,8 @@ def brute_force(image, size):
             moments.append(columns.sum(axis=1))
             design = np.stack([px, py, one], axis=1)
             planes.append(np.linalg.lstsq(design, d, rcond=None)[0] if len(d) else np.zeros(3))
-    return np.array(moments), np.array(planes)
+            first = first or (design, d)
+    return np.array(moments), np.array(planes), first
 
 
 @pytest.mark.parametrize('holes', [0.0, 0.2])
@@ -48,7 +49,7 @@ def test_moments_equal_loops_over_pixels(holes):
     image = bumpy(1, holes)
     grid = build_cell_grid(image)
     assert grid.shape == (-(-SHAPE[0] // grid.size_px), -(-SHAPE[1] // grid.size_px))
-    moments, planes = brute_force(image, grid.size_px)
+    moments, planes, (design, d) = brute_force(image, grid.size_px)
     np.testing.assert_allclose(grid.moments, moments, rtol=1e-5, atol=1e-6)
     known, usable = moments[:, 0] > 0, grid.usable
     np.testing.assert_allclose(grid.mean[known],
@@ -57,6 +58,8 @@ def test_moments_equal_loops_over_pixels(holes):
     own = fit_planes(grid.moments)
     for one, together in zip(grid.moments, own, strict=True):
         np.testing.assert_allclose(fit_plane(one), together, rtol=1e-9)
+    assert squared_error(1.0, 2.0, 3.0, moments[0]) == pytest.approx(
+        ((design @ [1.0, 2.0, 3.0] - d) ** 2).sum())
     misfit = [squared_error(*own[i], grid.moments[i]) for i in np.flatnonzero(usable)]
     np.testing.assert_allclose(grid.residual_rms[usable],
                                np.sqrt(misfit / grid.moments[usable, 0]), rtol=1e-3, atol=1e-6)
@@ -69,21 +72,6 @@ def test_one_line_of_a_lidar_is_no_plane_two_are(lines, usable):
         valid[line::8] = True
     image = DisparityImage(np.where(valid, np.float32(0.2), np.float32(0)), valid)
     assert (build_cell_grid(image).usable == usable).all()
-
-
-def test_fit_planes_equals_least_squares():
-    rng = np.random.default_rng(4)
-    x, y = rng.uniform(-0.5, 0.5, (2, 200))
-    d = 0.3 * x - 0.7 * y + 0.5 + rng.normal(0, 0.1, 200)
-    one = np.ones(200)
-    moments = np.stack([one, x, y, x * x, x * y, y * y, d, x * d, y * d, d * d]).sum(axis=1)
-    design = np.stack([x, y, one], axis=1)
-    expected, error, *_ = np.linalg.lstsq(design, d, rcond=None)
-    plane = fit_plane(moments)
-    np.testing.assert_allclose(plane, expected, rtol=1e-9)
-    assert squared_error(*plane, moments) == pytest.approx(error[0], rel=1e-9)
-    other = np.array([1.0, 2.0, 3.0])
-    assert squared_error(*other, moments) == pytest.approx(((design @ other - d)**2).sum())
 
 
 def test_the_cells_of_a_part_are_those_of_the_whole_image():

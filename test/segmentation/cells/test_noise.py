@@ -3,6 +3,7 @@
 """Rounded disparities are known as such, correlations of the errors found as they were made."""
 
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -60,17 +61,12 @@ def test_the_step_of_rounded_disparities_is_found(step, yaw_deg):
     assert len(segment_planes(depth_m, VGA).planes) == 1
 
 
-@pytest.mark.parametrize('yaw_deg', [0, 5])
-@pytest.mark.parametrize('distance_m', [1.0, 6.0])
-def test_exact_walls_and_those_in_millimetres_are_not_rounded(yaw_deg, distance_m):
-    depth_m = single_wall(yaw_deg=yaw_deg, distance_m=distance_m).depth_m
-    assert step_of(depth_m) == step_of(millimetres(depth_m)) == 0
-
-
-@pytest.mark.parametrize('seed', range(3))
-@pytest.mark.parametrize('sigma', [0.0, 0.004])
-def test_rooms_are_not_rounded(room, seed, sigma):
-    assert step_of(noisy(room(seed), seed, sigma)) == 0
+def test_exact_and_noisy_depth_and_that_in_millimetres_are_not_rounded(room):
+    for distance_m, yaw_deg in product((1.0, 6.0), (0, 5)):
+        depth_m = single_wall(yaw_deg=yaw_deg, distance_m=distance_m).depth_m
+        assert step_of(depth_m) == step_of(millimetres(depth_m)) == 0
+    for seed, sigma in product(range(3), (0.0, 0.004)):
+        assert step_of(noisy(room(seed), seed, sigma)) == 0
 
 
 def test_cells_of_few_pixels_are_known_to_be_noisier():

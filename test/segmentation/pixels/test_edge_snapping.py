@@ -2,8 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Borders of planes that a network blurred move to the edges of the image, others stay."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

@@ -113,10 +113,17 @@ def test_planes_are_drawn_at_the_same_places_whichever_cells_are_free(room):
     places = cell_places(cells.grid.shape, WIDEST_WINDOW_CELLS)
     fewer = places.copy()
     fewer[:len(places) // 3].flat[::7] = -1  # clutter above
-    drawn, again = (draw_planes(free.ravel(), places.shape[1], (cells.table, cells.grid.moments),
-                                60, 0.3)[0] for free in (places, fewer))
-    same = sum((plane == drawn).all(axis=1).any() for plane in again)
+
+    def draw(free, share):
+        return draw_planes(free.ravel(), places.shape[1], (cells.table, cells.grid.moments), 60,
+                           share)
+
+    drawn, share = draw(places, 0.3)
+    again, later = draw(fewer, 0.3)[0], draw(places, share)[0]
+    same, repeated = (sum((plane == drawn).all(axis=1).any() for plane in one)
+                      for one in (again, later))
     assert len(again) > 60 and same > 0.5 * len(again)
+    assert repeated < 0.2 * len(later), 'the next round is at other places'
 
 
 def test_one_image_has_one_noise(data_folder):
