@@ -112,6 +112,7 @@ def test_a_bright_wall_is_no_sky():
     dark = rgb.copy()
     dark[HORIZON:] = np.clip(dark[HORIZON:].astype(int) + 110, 0, 255)
     assert find_sky(dark, disparity, True) is None, 'the rest is as bright'
+    assert find_sky((0.6 * rgb).astype(np.uint8), disparity, True) is None, 'it is too dark'
     near = disparity.copy()
     near[-80:] = 0.05
     assert find_sky(rgb, near, True) is None, 'something is farther'

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from plane_detector.config import Config, DirectionsConfig
+from plane_detector.directions import finder
 from plane_detector.directions.finder import CameraImage, DirectionFinder, find_in_image
 from plane_detector.directions.posterior import log_odds_down
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
@@ -103,6 +104,16 @@ def test_from_above_nothing_is_five_times_as_far(far, is_likely):
     disparity, aside = np.ones((48, 64), np.float32), np.tile([1.0, 0.0, 0.0], (9, 1))
     disparity[:, 32:] = far  # no trend from top to bottom
     assert (log_odds_down(disparity, aside) > 0) == is_likely
+
+
+def test_normals_at_a_guessed_shift_are_no_evidence(monkeypatch):
+    given, collect = [], finder.collect_evidence
+    monkeypatch.setattr(finder, 'collect_evidence', lambda segments, surface, odds_down: (
+        given.append(surface), collect(segments, surface, odds_down))[1])
+    disparity = np.tile(np.linspace(0.2, 0.6, 480, dtype=np.float32)[:, None], (1, 640))
+    for has_shift in (False, True):
+        find_in_image(CameraImage(tiles(5), CAMERA, disparity=disparity, has_shift=has_shift))
+    assert given[0] is not None and given[1] is None
 
 
 def test_a_wall_ahead_with_a_floor_is_still_a_wall():

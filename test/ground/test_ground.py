@@ -131,9 +131,11 @@ def test_a_rough_floor_without_a_plane_is_the_own_floor():
     relief = np.random.default_rng(3).normal(0, 0.02, (96, 128)).astype(np.float32)
     relief = cv2.resize(relief, (640, 480), interpolation=cv2.INTER_CUBIC)
     scene, nothing = terrain.scene, np.full(relief.shape, -1, np.int32)
-    ground = find_ground(
+    ground, coarse = (find_ground(
         PlaneSegmentation(NO_PLANES, nothing, 0.003), scene.depth_m * (1 + relief),
-        scene.intrinsics, Gravity(scene.gravity_camera.copy(), 1.0, 'measured'), MEASURED)
+        scene.intrinsics, Gravity(scene.gravity_camera.copy(), tolerance_deg, 'measured'),
+        MEASURED) for tolerance_deg in (1.0, 8.0))
+    assert not coarse.pixels.is_known and 'too coarsely' in coarse.note
     assert ground.camera_height_m == pytest.approx(0.8, abs=0.01)
     assert ground.pixels.mask[terrain.kinds == Kind.FLOOR].mean() > 0.97
     assert len(ground.pixels.drops_m) > 100 and off_edges_m(ground.pixels, terrain).max() < 0.1

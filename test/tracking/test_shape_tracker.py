@@ -44,14 +44,10 @@ def test_a_missed_shape_gets_its_label_back_and_others_do_not_take_it():
     assert names == [(1,), (), (2,), (1, 2)]
 
 
-def test_a_shape_may_change_its_size_by_half_of_the_larger():
-    assert run(((ball(0.0),), labels_at(10)),
-               ((ball(0.0, radius_m=0.35),), labels_at(10))) == [(1,), (1,)]
-
-
-def test_another_type_or_size_at_the_same_place_is_another_shape():
-    for other in (ball(0.0, kind=ShapeType.CYLINDER), ball(0.0, radius_m=0.5)):
-        assert run(((ball(0.0),), labels_at(10)), ((other,), labels_at(10))) == [(1,), (2,)]
+def test_another_type_or_a_size_that_changes_by_more_than_half_is_another_shape():
+    for other, label in ((ball(0.0, kind=ShapeType.CYLINDER), 2), (ball(0.0, radius_m=0.5), 2),
+                         (ball(0.0, radius_m=0.35), 1)):
+        assert run(((ball(0.0),), labels_at(10)), ((other,), labels_at(10))) == [(1,), (label,)]
 
 
 def test_the_detector_gives_each_shape_the_label_of_its_track(monkeypatch):

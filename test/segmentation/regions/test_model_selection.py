@@ -24,7 +24,7 @@ from plane_detector.evaluation.scenes.rendering import VGA
 from plane_detector.segmentation.cells.model import MEAN_WEIGHT
 from plane_detector.segmentation.cells.noise_correlation import Correlation
 from plane_detector.segmentation.regions import model_selection as seams
-from plane_detector.segmentation.regions.depth_steps import split_at_depth_steps
+from plane_detector.segmentation.regions.depth_steps import _with_piece, split_at_depth_steps
 from plane_detector.segmentation.regions.model_selection import prefer_two_planes
 
 SEEDS = range(12)
@@ -108,6 +108,16 @@ def split(depth_m):
     regions = one_patch(model)
     return split_at_depth_steps(frame_of(disparity_image(depth_m), model, noise), regions,
                                 Correlation.of(model, regions, noise))
+
+
+def test_a_piece_gets_the_cells_that_it_and_half_the_step_around_it_fill_by_half():
+    """Blocks 4 to 7 down and 8 across, with 2 around: a half to a whole cell of two cells."""
+    runs = np.array([[row, 8, 9, 0] for row in range(4, 8)], np.int32)
+    labels = np.zeros((4, 6), np.int32)
+    labels[1, 3] = 5
+    expected = labels.copy()
+    expected[1, 1:3] = 7
+    np.testing.assert_array_equal(_with_piece(labels, runs, 0, (0, 7)), expected)
 
 
 @pytest.mark.parametrize(('frame', 'gap_m', 'least'), [
