@@ -77,32 +77,25 @@ class FrameConverter:
         rgb = (_decode(frame, most_pixels) if has_colour
                else np.full((*depth_m.shape, 3), _GREY, np.uint8))
         info = _with_size(frame.camera_info, rgb)
-        rectify = self._is_to_rectify(info, settings.rectify)
+        is_distorted = bool(np.any(info.d)) and not self._named_rectified
+        rectify = is_distorted if settings.rectify == 'auto' else settings.rectify == 'true'
         intrinsics = intrinsics_from_msg(info, rectify or self._named_rectified)
-        _check_size(rgb, intrinsics)
+        size, expected = rgb.shape[1::-1], (intrinsics.width, intrinsics.height)
+        if size != expected:
+            raise ValueError(encodings.wrong_size(size, expected))
         if isinstance(measured, PointCloud2):
             check_rays(measured, intrinsics)
-        reduction = Reduction.to_side((intrinsics.width, intrinsics.height), settings.max_side)
+        reduction = Reduction.to_side(expected, settings.max_side)
         rgb, intrinsics = reduction.image(rgb), _reduced(intrinsics, reduction)
         if depth_m is not None:
             depth_m = _fit_depth(depth_m, intrinsics)
         if not rectify:
-            return ConvertedFrame(rgb, intrinsics, depth_m, distortion=self._distortion_left(info))
+            left = Distortion(_model_of(info), tuple(info.d)) if is_distorted else NO_DISTORTION
+            return ConvertedFrame(rgb, intrinsics, depth_m, distortion=left)
         rectification = self._rectification_of(info, reduction)
         depth_m = None if depth_m is None else rectification.depth(depth_m)
         return ConvertedFrame(rectification.image(rgb), intrinsics, depth_m,
                               rectification.inside())
-
-    def _is_to_rectify(self, info: CameraInfo, rectify: str) -> bool:
-        if rectify == 'auto':
-            return bool(np.any(info.d)) and not self._named_rectified
-        return rectify == 'true'
-
-    def _distortion_left(self, info: CameraInfo) -> Distortion:
-        """Return the distortion of an image that is not rectified here."""
-        if self._named_rectified or not np.any(info.d):
-            return NO_DISTORTION
-        return Distortion(_model_of(info), tuple(info.d))
 
     def _rectification_of(self, info: CameraInfo, reduction: Reduction) -> Rectification:
         calibration = (reduction, info.distortion_model, *info.d, *info.k, *info.r, *info.p,
@@ -163,12 +156,6 @@ def _with_size(info: CameraInfo, rgb: np.ndarray) -> CameraInfo:
     sized = copy(info)
     sized.width, sized.height = width * max(info.binning_x, 1), height * max(info.binning_y, 1)
     return sized
-
-
-def _check_size(rgb: np.ndarray, intrinsics: CameraIntrinsics) -> None:
-    size, expected = rgb.shape[1::-1], (intrinsics.width, intrinsics.height)
-    if size != expected:
-        raise ValueError(encodings.wrong_size(size, expected))
 
 
 def _fit_depth(depth_m: np.ndarray, intrinsics: CameraIntrinsics) -> np.ndarray:

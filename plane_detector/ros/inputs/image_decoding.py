@@ -79,7 +79,10 @@ def rgb_from_msg(msg: Image) -> np.ndarray:
     if as_8_bit not in _CHANNELS:
         raise ValueError(f'image encoding {msg.encoding!r} is not known; known are '
                          f'{", ".join((*_CHANNELS, *_HALF_COLOUR))}, and 16 instead of 8 bits')
-    pixels = _upper_bytes(msg, _CHANNELS[as_8_bit])
+    has_16_bit = as_8_bit != encoding
+    pixels = pixels_of(msg, 'u2' if has_16_bit else 'u1', _CHANNELS[as_8_bit])
+    if has_16_bit:
+        pixels = (pixels >> 8).astype(np.uint8)
     if as_8_bit not in _TO_RGB:
         return pixels
     _check_sides(msg, as_8_bit)
@@ -230,13 +233,6 @@ def pixels_of(msg: Image, channel_type: str, channels: int, rows: int | None = N
                          f'{rows} x {msg.step}')
     data = np.frombuffer(msg.data, np.uint8).reshape(rows, msg.step)[:, :row_bytes]
     return np.ascontiguousarray(data).view(dtype).reshape(rows, msg.width, channels)
-
-
-def _upper_bytes(msg: Image, channels: int) -> np.ndarray:
-    """Return the pixels (H, W, channels) uint8, of channels of 16 bits the upper 8."""
-    if msg.encoding.endswith('16'):
-        return (pixels_of(msg, 'u2', channels) >> 8).astype(np.uint8)
-    return pixels_of(msg, 'u1', channels)
 
 
 def _check_sides(msg: Image, encoding: str) -> None:
