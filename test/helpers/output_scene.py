@@ -18,6 +18,7 @@ from plane_detector.ros.outputs.frame import DetectedFrame
 from plane_detector.types import (
     CameraIntrinsics,
     Detection,
+    GroundLack,
     GroundPixels,
     Plane,
     PlaneClass,
@@ -79,7 +80,8 @@ def ground_pixels(labels: np.ndarray) -> GroundPixels:
     """Return the floor; heights are numbers of pixels, and all but the ball is an obstacle."""
     numbers = np.arange(labels.size, dtype=np.float32).reshape(labels.shape)
     return GroundPixels(
-        True, labels == FLOOR, (labels != FLOOR) & (labels != BALL), numbers, numbers / 8,
+        GroundLack.NOTHING, labels == FLOOR, (labels != FLOOR) & (labels != BALL), numbers,
+        numbers / 8,
         drops_m=np.array([[0.5, 1.0, 2.0], [0.6, 1.0, 2.0]]),
         drop_depths_m=np.array([0.25, np.nan]))
 

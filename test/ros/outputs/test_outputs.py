@@ -15,7 +15,14 @@ from scipy.spatial.transform import Rotation
 from plane_detector.drawing import label_colours, plane_colours
 from plane_detector.ros.outputs.messages import read_cloud
 from plane_detector.ros.outputs.topics import OUTPUTS
-from plane_detector.types import NO_PLANES, Detection, GroundPixels, PlaneClass, ShapeType
+from plane_detector.types import (
+    NO_PLANES,
+    Detection,
+    GroundLack,
+    GroundPixels,
+    PlaneClass,
+    ShapeType,
+)
 
 BOTH_FRAMES = pytest.mark.parametrize('to_target', [None, scene.TARGET], ids=['camera', 'target'])
 PIXEL_LABELS = np.vectorize(scene.MESSAGE_LABELS.get)(scene.depth_and_labels()[1])
@@ -91,7 +98,7 @@ def test_points_without_floor(to_target, step):
 def test_obstacles_need_no_plane_but_gravity_and_the_unit():
     alone = scene.detection(planes=NO_PLANES)
     assert make('points_without_floor', found=alone).width > 0
-    unknown = replace(alone, ground_pixels=GroundPixels(False, alone.ground, alone.obstacles))
+    unknown = replace(alone, ground_pixels=GroundPixels(GroundLack.UNIT))
     assert make('points_without_floor', found=unknown) is None
     assert make('ground', found=unknown) is None
 
