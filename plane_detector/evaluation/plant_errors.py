@@ -195,8 +195,8 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
         ('target_header, PLANE_DTYPE',
          'header, PLANE_DTYPE', '~/planes in the frame of the camera'),
         ('polygon.corners_m[:1]', 'polygon.corners_m[-1:]', 'outlines that do not close'),
-        ('[v, u, 1] = e * x + f * y + g * z + h',
-         '[v, u, 1] = e * x + f * y + g * z + d', 'shift of the other axis in ~/points'),
+        ('[v, u, 1] = (e * x + f) * z + h',
+         '[v, u, 1] = (e * x + f) * z + d', 'shift of the other axis in ~/points'),
         ('found.obstacles,', 'found.mask,', 'the ground as obstacle')),
     'ros/outputs/messages.py': (
         ('[detection.shape_labels[is_shape]]', '[detection.shape_labels[is_shape] - 1]',

@@ -128,27 +128,24 @@ _DEPTH, _LABELS, _RGB, _MASK = (f"Array({kind}, 'C', readonly=True)" for kind in
 _GEOMETRY = f'Tuple(({_DEPTH}, float32[::1], float32[::1], float32[:, ::1]))'
 
 
-@kernel('UniTuple(UniTuple(float32, 4), 3)(float32[:, ::1])')
-def _rows(m):
-    return ((m[0, 0], m[0, 1], m[0, 2], m[0, 3]), (m[1, 0], m[1, 1], m[1, 2], m[1, 3]),
-            (m[2, 0], m[2, 1], m[2, 2], m[2, 3]))
-
-
 @kernel(f'void({_GEOMETRY}, {_RGB}, {_LABELS}, float32[:, :, ::1], uint32[:, :, ::1])')
 def _pack_points(geometry, rgb, labels, numbers, bits):
     """Fill (H, W, 5), viewed as floats and as bits: x y z, 0x00RRGGBB, label."""
     depth_m, ray_x, ray_y, moved = geometry
     # In variables: read from the array for every pixel, they take as long as all the rest.
-    (a, b, c, d), (e, f, g, h), (i, j, k, m) = _rows(moved)
+    a, d, e, h, i, m = (moved[0, 0], moved[0, 3], moved[1, 0], moved[1, 3], moved[2, 0],
+                        moved[2, 3])
     for v in range(depth_m.shape[0]):
+        y = ray_y[v]
+        b, f, j = (moved[0, 1] * y + moved[0, 2], moved[1, 1] * y + moved[1, 2],
+                   moved[2, 1] * y + moved[2, 2])
         for u in range(depth_m.shape[1]):
-            z = depth_m[v, u]
+            z, x = depth_m[v, u], ray_x[u]
             if not (z >= MIN_DEPTH_M and z < np.inf):
                 z = np.float32(np.nan)
-            x, y = z * ray_x[u], z * ray_y[v]
-            numbers[v, u, 0] = a * x + b * y + c * z + d
-            numbers[v, u, 1] = e * x + f * y + g * z + h
-            numbers[v, u, 2] = i * x + j * y + k * z + m
+            numbers[v, u, 0] = (a * x + b) * z + d
+            numbers[v, u, 1] = (e * x + f) * z + h
+            numbers[v, u, 2] = (i * x + j) * z + m
             bits[v, u, 3] = ((np.uint32(rgb[v, u, 0]) << np.uint32(16))
                              | (np.uint32(rgb[v, u, 1]) << np.uint32(8)) | np.uint32(rgb[v, u, 2]))
             bits[v, u, 4] = np.uint32(labels[v, u])
@@ -158,17 +155,20 @@ def _pack_points(geometry, rgb, labels, numbers, bits):
 def _pack_kept(geometry, is_kept, heights_m, sigmas_m, table):
     """Fill the first rows of (N, 3), or of (N, 5) with height and sigma; return their number."""
     depth_m, ray_x, ray_y, moved = geometry
-    (a, b, c, d), (e, f, g, h), (i, j, k, m) = _rows(moved)
+    a, d, e, h, i, m = (moved[0, 0], moved[0, 3], moved[1, 0], moved[1, 3], moved[2, 0],
+                        moved[2, 3])
     count = 0
     for v in range(depth_m.shape[0]):
+        y = ray_y[v]
+        b, f, j = (moved[0, 1] * y + moved[0, 2], moved[1, 1] * y + moved[1, 2],
+                   moved[2, 1] * y + moved[2, 2])
         for u in range(depth_m.shape[1]):
-            z = depth_m[v, u]
+            z, x = depth_m[v, u], ray_x[u]
             if not is_kept[v, u] or not (z >= MIN_DEPTH_M and z < np.inf):
                 continue
-            x, y = z * ray_x[u], z * ray_y[v]
-            table[count, 0] = a * x + b * y + c * z + d
-            table[count, 1] = e * x + f * y + g * z + h
-            table[count, 2] = i * x + j * y + k * z + m
+            table[count, 0] = (a * x + b) * z + d
+            table[count, 1] = (e * x + f) * z + h
+            table[count, 2] = (i * x + j) * z + m
             if table.shape[1] == 5:
                 table[count, 3], table[count, 4] = heights_m[v, u], sigmas_m[v, u]
             count += 1
