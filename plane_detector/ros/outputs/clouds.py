@@ -132,6 +132,8 @@ _GEOMETRY = f'Tuple(({_DEPTH}, float32[::1], float32[::1], float32[:, ::1]))'
 def _pack_points(geometry, rgb, labels, numbers, bits):
     """Fill (H, W, 5), viewed as floats and as bits: x y z, 0x00RRGGBB, label."""
     depth_m, ray_x, ray_y, moved = geometry
+    nearest, endless = np.float32(MIN_DEPTH_M), np.float32(np.inf)
+    nothing = np.float32(np.nan)
     # In variables: read from the array for every pixel, they take as long as all the rest.
     a, d, e, h, i, m = (moved[0, 0], moved[0, 3], moved[1, 0], moved[1, 3], moved[2, 0],
                         moved[2, 3])
@@ -141,8 +143,7 @@ def _pack_points(geometry, rgb, labels, numbers, bits):
                    moved[2, 1] * y + moved[2, 2])
         for u in range(depth_m.shape[1]):
             z, x = depth_m[v, u], ray_x[u]
-            if not (z >= MIN_DEPTH_M and z < np.inf):
-                z = np.float32(np.nan)
+            z = z if (z >= nearest) & (z < endless) else nothing
             numbers[v, u, 0] = (a * x + b) * z + d
             numbers[v, u, 1] = (e * x + f) * z + h
             numbers[v, u, 2] = (i * x + j) * z + m
