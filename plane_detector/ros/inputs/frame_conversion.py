@@ -76,7 +76,9 @@ class FrameConverter:
             depth_m = depth_from_msg(measured, most_pixels, self._depth.unit)
         rgb = (_decode(frame, most_pixels) if has_colour
                else np.full((*depth_m.shape, 3), _GREY, np.uint8))
-        info = _with_size(frame.camera_info, rgb)
+        info = frame.camera_info
+        if not (info.width and info.height):
+            info = _with_size(info, rgb)
         is_distorted = bool(np.any(info.d)) and not self._named_rectified
         rectify = is_distorted if settings.rectify == 'auto' else settings.rectify == 'true'
         intrinsics = intrinsics_from_msg(info, rectify or self._named_rectified)
@@ -86,7 +88,8 @@ class FrameConverter:
         if isinstance(measured, PointCloud2):
             check_rays(measured, intrinsics)
         reduction = Reduction.to_side(expected, settings.max_side)
-        rgb, intrinsics = reduction.image(rgb), _reduced(intrinsics, reduction)
+        if not reduction.is_none:
+            rgb, intrinsics = reduction.image(rgb), _reduced(intrinsics, reduction)
         if depth_m is not None:
             depth_m = _fit_depth(depth_m, intrinsics)
         if not rectify:
@@ -115,8 +118,6 @@ def is_rectified_name(topic: str) -> bool:
 
 
 def _reduced(intrinsics: CameraIntrinsics, reduction: Reduction) -> CameraIntrinsics:
-    if reduction.is_none:
-        return intrinsics
     (fx, _, cx), (_, fy, cy), _ = reduction.matrix(_matrix(intrinsics)).tolist()
     return CameraIntrinsics(fx, fy, cx, cy, *reduction.new_size)
 
@@ -149,9 +150,7 @@ def _decode(frame: Frame, most_pixels: int) -> np.ndarray:
 
 
 def _with_size(info: CameraInfo, rgb: np.ndarray) -> CameraInfo:
-    """Return the CameraInfo; a size of 0 x 0 is replaced by that of the image."""
-    if info.width and info.height:
-        return info
+    """Return a CameraInfo without a size with that of the image."""
     height, width = rgb.shape[:2]
     sized = copy(info)
     sized.width, sized.height = width * max(info.binning_x, 1), height * max(info.binning_y, 1)
