@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import cv2
@@ -68,13 +69,13 @@ def fit_frame(segments: LineSegments, axes: np.ndarray, used: tuple[int, ...] = 
         The axes that segments may point to; the others are rotated with them.
 
     """
-    sums = np.zeros((5, 3))
+    sums, used = np.zeros((5, 3)), list(used)
     for k in range(SEARCH_ROUNDS + FIT_ROUNDS):
         tolerance_deg = SEARCH_TOLERANCE_DEG if k < SEARCH_ROUNDS else FIT_TOLERANCE_DEG
         sums = _normal_equations(segments.normals, segments.midpoints, segments.lengths,
-                                 np.ascontiguousarray(axes[list(used)]),
-                                 np.sin(np.radians(tolerance_deg)))
-        axes = axes @ cv2.Rodrigues(-np.linalg.solve(_regular(sums), sums[3]))[0].T
+                                 axes[used], math.sin(math.radians(tolerance_deg)))
+        # OpenCV: numpy takes several times as long to begin with so few numbers.
+        axes = axes @ cv2.Rodrigues(-cv2.solve(_regular(sums), sums[3][:, None])[1])[0].T
     weight, weight_square, squares = sums[4]
     independent = weight**2 / max(weight_square, 1e-12)
     # Covariance of weighted means: moment^-1 times the variance over the independent segments.

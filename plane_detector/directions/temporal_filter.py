@@ -22,7 +22,7 @@ import cv2
 import numpy as np
 
 from plane_detector.directions.line_segments import LineSegments
-from plane_detector.directions.posterior import Expected
+from plane_detector.directions.posterior import Expected, cross
 from plane_detector.directions.vanishing import SceneDirections
 
 # Largest motion of a matched segment's midpoint at unit focal length, and sine of its rotation.
@@ -101,9 +101,8 @@ def turn_between_images(before: LineSegments, after: LineSegments) -> tuple[np.n
         residual = planes_after - turned
         weight = lengths / (1 + (residual**2).sum(1) / LINE_SPREAD_RAD**2)
         # turn x n = residual, i.e. -[n]x turn; the moment is the sum of w (I - n n^T).
-        moment = weight.sum() * np.eye(3) - (turned.T * weight) @ turned
-        turn = turn + np.linalg.solve(moment + 1e-9 * np.eye(3),
-                                      weight @ np.cross(turned, residual))
+        moment = (weight.sum() + 1e-9) * np.eye(3) - (turned.T * weight) @ turned
+        turn = turn + cv2.solve(moment, (weight @ cross(turned, residual))[:, None])[1][:, 0]
     follows = np.linalg.norm(residual, axis=1) < MOST_SPREADS * LINE_SPREAD_RAD
     return turn, lengths[follows].sum() / min(before.lengths.sum(), after.lengths.sum())
 

@@ -31,6 +31,7 @@ from plane_detector.directions.posterior import (
     Expected,
     Modes,
     collect_evidence,
+    cross,
     is_held,
     log_likelihood,
     log_prior_density,
@@ -216,8 +217,8 @@ def _is_off(segments: LineSegments, directions: np.ndarray) -> np.ndarray:
 def _pairs(segments: LineSegments, evidence: Evidence, down: np.ndarray,
            expected: Expected) -> np.ndarray:
     """Return pairs (P, 2, 3) of horizontal axes about a vertical."""
-    x = unit(np.cross(down, [0.0, 0.0, 1.0] if abs(down[2]) < 0.9 else [1.0, 0.0, 0.0]))
-    basis = np.stack([down, x, np.cross(down, x)])
+    x = unit(cross(down, np.eye(3)[2 if abs(down[2]) < 0.9 else 0]))
+    basis = np.array([down, x, cross(down, x)])
     angle = np.radians(np.arange(90))
     axes = (np.cos(angle)[:, None, None] * basis[1:]
             + np.sin(angle)[:, None, None] * np.stack([basis[2], -basis[1]]))
@@ -251,7 +252,7 @@ def _averaged(fit: FrameFit, mode: np.ndarray,
               expected: Expected) -> tuple[np.ndarray, np.ndarray]:
     """Return the vertical of a fit and its covariance, averaged with that of the images before."""
     down = fit.axes[0]
-    turn = np.cross(np.eye(3), down)
+    turn = cross(np.eye(3), down)
     covariance = mode
     if np.isfinite(fit.covariance).all():
         of_lines = turn.T @ fit.covariance @ turn + RANDOM_RAD**2 * np.eye(3)
@@ -268,4 +269,4 @@ def _averaged(fit: FrameFit, mode: np.ndarray,
 def _level(axes: np.ndarray, down: np.ndarray) -> np.ndarray:
     """Return two axes perpendicular to each other and to the vertical, keeping the first."""
     first = unit(axes[0] - (axes[0] @ down) * down)
-    return np.stack([first, np.cross(down, first)])
+    return np.array([first, cross(down, first)])
