@@ -133,7 +133,7 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
         ('-translation_m @ rotation', '-translation_m', 'covariance moved without the rotation')),
     'tracking/matching.py': (
         ('after[1][n], before', '-after[1][n], before', 'sign of an offset'),
-        ('and track.missed <', 'and track.missed >', 'missing shapes are forgotten'),
+        ('is_kept = missed <', 'is_kept = missed >', 'missing shapes are forgotten'),
         ('variance / spreads[k, 0]', 'variance * spreads[k, 0]',
          'errors of offsets not as a share of the distance')),
     'tracking/shape_tracker.py': (
@@ -141,7 +141,7 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
          'share of the smaller of two sizes'),),
     'tracking/tracker.py': (
         ('share > _MERGED', 'share < _MERGED', 'merged where little is shared'),
-        ('labels=np.array(labels, np.int64)', 'labels=np.arange(1, len(labels) + 1)',
+        ('labels=labels, merged', 'labels=np.arange(1, len(labels) + 1), merged',
          'labels are not those of the tracks')),
     'ground/ground.py': (
         ('[self.normals * inv', '[-self.normals * inv', 'normals look down'),

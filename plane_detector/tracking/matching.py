@@ -6,9 +6,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -35,37 +33,30 @@ def thinned(labels: np.ndarray, rows: int) -> np.ndarray:
     return np.ascontiguousarray(labels[::step, ::step], np.int32).ravel()
 
 
-def pixels_by_label(labels: np.ndarray, count: int) -> list[np.ndarray]:
-    """Return the indices (N,) int32 of the pixels of each label in labels (M,)."""
-    pixels, ends = _sorted_pixels(labels, count)
-    return [pixels[begin:end] for begin, end in itertools.pairwise(ends.tolist())]
-
-
-def measure_overlap(before: Sequence[np.ndarray], labels: np.ndarray, count: int) -> Overlap:
-    """Return the overlap of things known by the indices of their pixels with labels (M,) now."""
-    known_px = np.array([len(pixels) for pixels in before], np.int64)
-    common, found_px = _count_common(np.concatenate([np.zeros(0, np.int32), *before]), known_px,
-                                     labels, count)
+def measure_overlap(pixels: np.ndarray, known_px: np.ndarray, labels: np.ndarray,
+                    count: int) -> Overlap:
+    """Return the overlap of known things, as of :func:`sorted_pixels`, with labels (M,) now."""
+    common, found_px = _count_common(pixels, known_px, labels, count)
     known_px = known_px[:, None]
     return Overlap(common / np.maximum(known_px + found_px - common, 1),
                    common / np.maximum(known_px, 1))
 
 
 @kernel('Tuple((int32[::1], int64[::1]))(int32[::1], int64)', is_short=True)
-def _sorted_pixels(labels, count):
-    """Return the indices of the pixels, ordered by label, and where each label begins and ends."""
-    ends = np.zeros(count + 1, np.int64)
+def sorted_pixels(labels, count):
+    """Return the indices of the pixels, ordered by label, and how many each label has (count,)."""
+    sizes, place = np.zeros(count, np.int64), np.zeros(count + 1, np.int64)
     for i in range(len(labels)):
         if 0 <= labels[i] < count:
-            ends[labels[i] + 1] += 1
+            sizes[labels[i]] += 1
     for k in range(count):
-        ends[k + 1] += ends[k]
-    pixels, place = np.empty(ends[count], np.int32), ends[:count].copy()
+        place[k + 1] = place[k] + sizes[k]
+    pixels = np.empty(place[count], np.int32)
     for i in range(len(labels)):
         if 0 <= labels[i] < count:
             pixels[place[labels[i]]] = i
             place[labels[i]] += 1
-    return pixels, ends
+    return pixels, sizes
 
 
 @kernel('Tuple((int64[:, ::1], int64[::1]))(int32[::1], int64[::1], int32[::1], int64)',
@@ -165,20 +156,21 @@ def _spreads(planes):
     return spreads
 
 
-def labels_of_found(tracks: Sequence[Any], match: Mapping[int, int], count: int,
-                    keep_frames: int) -> tuple[list[int], list[int]]:
+def labels_of_found(labels: np.ndarray, missed: np.ndarray, match: np.ndarray,
+                    keep_frames: int) -> tuple[np.ndarray, np.ndarray]:
     """
-    Return the label of each thing found in an image, and the indices of tracks that are missing.
+    Return the label of each thing found in an image (N,), and the indices of those missing.
 
-    ``match`` gives the track of those of ``count`` things that have one; others get the smallest
-    free labels above 0. Tracks that were missing for ``keep_frames`` images are dropped.
+    Of the known things (T,) these are the labels, and for how many images each was missing. The
+    ``match`` (N,) gives which one each found thing is; others, -1, get the smallest free labels
+    above 0. Those that were missing for ``keep_frames`` images are dropped.
     """
-    matched = set(match.values())
-    gone = [index for index, track in enumerate(tracks)
-            if index not in matched and track.missed < keep_frames]
-    taken = {tracks[index].label for index in (*gone, *matched)}
+    is_kept = missed < keep_frames
+    is_kept[match[match >= 0]] = False
+    gone = is_kept.nonzero()[0]
+    taken = set(labels[gone].tolist()) | set(labels[match[match >= 0]].tolist())
     free = (label for label in itertools.count(1) if label not in taken)
-    return [tracks[match[k]].label if k in match else next(free) for k in range(count)], gone
+    return np.array([labels[k] if k >= 0 else next(free) for k in match.tolist()], np.int64), gone
 
 
 def best_pairs(score: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -13,7 +13,7 @@ from plane_detector.tracking.matching import (
     best_pairs,
     labels_of_found,
     measure_overlap,
-    pixels_by_label,
+    sorted_pixels,
     thinned,
 )
 from plane_detector.types import Shape
@@ -54,25 +54,32 @@ def update_shape_tracks(tracks: Sequence[ShapeTrack], shapes: Sequence[Shape], l
 
     """
     labels = thinned(labels, _ROWS)
-    pixels = pixels_by_label(labels, len(shapes))
-    match = _match(tracks, shapes, labels)
-    names, gone = labels_of_found(tracks, match, len(shapes), keep_frames)
-    seen = [ShapeTrack(*one) for one in zip(names, shapes, pixels, strict=True)]
+    pixels, sizes = sorted_pixels(labels, len(shapes))
+    known = np.array([(track.label, track.missed) for track in tracks], np.int64).reshape(-1, 2).T
+    names, gone = labels_of_found(*known, _match(tracks, shapes, labels), keep_frames)
+    names = names.tolist()
+    seen = [ShapeTrack(*one) for one in zip(
+        names, shapes, np.split(pixels, np.cumsum(sizes)[:-1]), strict=True)] if names else []
     missing = [replace(tracks[k], missed=tracks[k].missed + 1) for k in gone]
     return (*seen, *missing), tuple(names)
 
 
 def _match(tracks: Sequence[ShapeTrack], shapes: Sequence[Shape],
-           labels: np.ndarray) -> dict[int, int]:
-    """Return the track of each shape, by the labels (M,); unmatched shapes are left out."""
+           labels: np.ndarray) -> np.ndarray:
+    """Return the track of each shape (N,), by the labels (M,); -1 none."""
+    match = np.full(len(shapes), -1)
     if not tracks or not shapes:
-        return {}
-    overlap = measure_overlap([track.pixels for track in tracks], labels, len(shapes)).of_union
+        return match
+    overlap = measure_overlap(
+        np.concatenate([track.pixels for track in tracks]),
+        np.array([len(track.pixels) for track in tracks]), labels, len(shapes)).of_union
     score = np.array([[max(overlap[t, k], _nearness(track.shape, shape))
                        if _are_alike(track.shape, shape) else 0.0
                        for k, shape in enumerate(shapes)] for t, track in enumerate(tracks)])
     rows, columns = best_pairs(score)
-    return {int(k): int(t) for t, k in zip(rows, columns, strict=True) if score[t, k] > _MIN_SCORE}
+    is_alike = score[rows, columns] > _MIN_SCORE
+    match[columns[is_alike]] = rows[is_alike]
+    return match
 
 
 def _are_alike(before: Shape, after: Shape) -> bool:

@@ -14,7 +14,6 @@ A label is reused only after its plane has been dropped.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -28,7 +27,7 @@ from plane_detector.tracking.matching import (
     labels_of_found,
     likeness,
     measure_overlap,
-    pixels_by_label,
+    sorted_pixels,
     thinned,
 )
 from plane_detector.types import NO_PLANES, Planes, PlaneSegmentation
@@ -41,31 +40,24 @@ _MISSED = 0.3
 # Weight of a plane seen only once, which may be a fragment of an older one.
 _YOUTH = 0.9
 _MOTION_MIN_OVERLAP = 0.3
-_MOTION_MAX_TURN_RAD = np.radians(30.0)
+_MOTION_MIN_COSINE = np.cos(np.radians(30.0))
 # chosen: a plane is merged into the one with more than half of its pixels, if both are one plane
 # within three standard deviations, as for other decisions on coefficients.
 _MERGED_SHARE, _MOST_DEVIATIONS = 0.5, 3.0
 
 
 @dataclass(frozen=True)
-class Track:
-    """A known plane."""
-
-    label: int  # above 0
-    pixels: np.ndarray  # (M,) int, indices in the subsampled image in which it was last seen
-    streak: int = 1  # consecutive images in which it was found, up to the last one
-    missed: int = 0  # images since it was last found
-
-
-@dataclass(frozen=True)
 class KnownPlanes:
-    """The known planes after an image."""
+    """The T known planes after an image: those of the image, in its order, then missing ones."""
 
-    tracks: tuple[Track, ...]  # of the planes of the image, in its order, then missing ones
-    planes: Planes  # their coefficients in the camera frame of that image
+    planes: Planes  # in the camera frame of that image, with their labels
+    pixels: np.ndarray  # (M,) int32, plane by plane, in the thinned image it was last seen in
+    sizes: np.ndarray  # (T,) int64, how many pixels each has
+    streaks: np.ndarray  # (T,) int64: consecutive images in which it was found, up to the last one
+    missed: np.ndarray  # (T,) int64: images since it was last found
 
 
-NONE_KNOWN = KnownPlanes((), NO_PLANES)
+NONE_KNOWN = KnownPlanes(NO_PLANES, np.zeros(0, np.int32), *np.zeros((3, 0), np.int64))
 
 
 class PlaneTracker:
@@ -101,8 +93,8 @@ class PlaneTracker:
         if found.labels.shape != self._shape:
             self.reset()
             self._shape = found.labels.shape
-        self._known = update_tracks(self._known, found, config)
-        return replace(found, planes=self._known.planes.picked(slice(len(found.planes))))
+        self._known, planes = update_tracks(self._known, found, config)
+        return replace(found, planes=planes)
 
     def reset(self) -> None:
         """Discard all known planes."""
@@ -110,64 +102,54 @@ class PlaneTracker:
 
 
 def update_tracks(known: KnownPlanes, found: PlaneSegmentation, config: TrackingConfig
-                  ) -> KnownPlanes:
-    """Return what is known after an image; the planes of the image come first."""
+                  ) -> tuple[KnownPlanes, Planes]:
+    """Return what is known after an image, and its planes with their labels."""
     image, after = thinned(found.labels, _ROWS), found.planes
-    pixels = pixels_by_label(image, len(after))
-    overlap = measure_overlap([track.pixels for track in known.tracks], image, len(after))
-    moved = _moved_along(known, after, pixels, overlap)
-    missed = np.array([track.missed for track in known.tracks])
-    deviation2, nearness = compare(moved, after, 1 + missed)
-    match = _match(known.tracks, likeness(nearness, overlap, deviation2))
-    labels, gone = labels_of_found(known.tracks, match, len(pixels), config.keep_frames)
-    tracks = [Track(label, where, _streak(known.tracks, match.get(k)))
-              for k, (label, where) in enumerate(zip(labels, pixels, strict=True))]
-    tracks += [Track(one.label, one.pixels, one.streak, one.missed + 1)
-               for one in map(known.tracks.__getitem__, gone)]
-    after = replace(after, labels=np.array(labels, np.int64),
-                    merged=_merged_labels(known.tracks, match, overlap, deviation2))
-    return KnownPlanes(tuple(tracks), after.followed_by(moved.picked(gone)) if gone else after)
+    pixels, sizes = sorted_pixels(image, len(after))
+    overlap = measure_overlap(known.pixels, known.sizes, image, len(after))
+    moved = _moved_along(known, after, sizes, overlap)
+    deviation2, nearness = compare(moved, after, 1 + known.missed)
+    match = _match(known, likeness(nearness, overlap, deviation2))
+    labels, gone = labels_of_found(moved.labels, known.missed, match, config.keep_frames)
+    # The last is for planes that were not known.
+    streaks = np.append(np.where(known.missed == 0, known.streaks, 0), 0)[match] + 1
+    after = replace(after, labels=labels, merged=_merged_labels(known, match, overlap, deviation2))
+    if not len(gone):
+        return KnownPlanes(after, pixels, sizes, streaks, np.zeros_like(sizes)), after
+    parts = np.split(known.pixels, np.cumsum(known.sizes)[:-1])
+    return KnownPlanes(
+        after.followed_by(moved.picked(gone)), np.concatenate([pixels, *(parts[k] for k in gone)]),
+        np.concatenate([sizes, known.sizes[gone]]), np.concatenate([streaks, known.streaks[gone]]),
+        np.concatenate([np.zeros_like(sizes), known.missed[gone] + 1])), after
 
 
-def _streak(tracks: Sequence[Track], index: int | None) -> int:
-    """Return the number of consecutive images with a plane, by its track before this image."""
-    return 1 if index is None or tracks[index].missed else tracks[index].streak + 1
-
-
-def _moved_along(known: KnownPlanes, after: Planes, pixels: Sequence[np.ndarray],
+def _moved_along(known: KnownPlanes, after: Planes, sizes: np.ndarray,
                  overlap: Overlap) -> Planes:
     """Move the known planes with the motion of those that are reliably found in both images."""
-    if not known.tracks:
+    share = overlap.of_union
+    if not share.size:
         return known.planes
-    old, new = np.nonzero(_is_sure(known, after, overlap.of_union))
-    weights = overlap.of_union[old, new] * np.sqrt([len(pixels[index]) for index in new])
+    # The pairs whose pixels and normals leave no doubt.
+    old, new = ((share > _MOTION_MIN_OVERLAP) & (share == share.max(axis=0))
+                & (known.missed == 0)[:, None]
+                & (known.planes.normals @ after.normals.T > _MOTION_MIN_COSINE)).nonzero()
+    weights = share[old, new] * np.sqrt(sizes[new])
     return estimate_motion(known.planes, after, (old, new), weights).move(known.planes)
 
 
-def _is_sure(known: KnownPlanes, after: Planes, share: np.ndarray) -> np.ndarray:
-    """Return the pairs (T, N) bool whose pixels and normals leave no doubt."""
-    if not len(after):
-        return np.zeros(share.shape, bool)
-    cosine = known.planes.normals @ after.normals.T
-    was_seen = np.array([track.missed == 0 for track in known.tracks])
-    return ((share > _MOTION_MIN_OVERLAP) & (share == share.max(axis=0)) & was_seen[:, None]
-            & (cosine > np.cos(_MOTION_MAX_TURN_RAD)))
+def _match(known: KnownPlanes, score: np.ndarray) -> np.ndarray:
+    """Return which known plane each found one (N,) is, by scores (T, N); -1 none."""
+    match = np.full(score.shape[1], -1)
+    if score.size:
+        trust = (1 - _YOUTH / known.streaks) * np.where(known.missed > 0, _MISSED, 1.0)
+        score = np.where(score < _MIN_SCORE, 0, score) * trust[:, None]
+        rows, columns = best_pairs(score)
+        is_alike = score[rows, columns] > 0
+        match[columns[is_alike]] = rows[is_alike]
+    return match
 
 
-def _match(tracks: Sequence[Track], score: np.ndarray) -> dict[int, int]:
-    """Return the track of each found plane by scores (T, N); unmatched planes are left out."""
-    if not score.size:
-        return {}
-    missed = np.array([track.missed for track in tracks])
-    score = np.where(score < _MIN_SCORE, 0, score)
-    trust = (1 - _YOUTH / np.array([track.streak for track in tracks])) * _MISSED ** (missed > 0)
-    score *= trust[:, None]
-    rows, columns = best_pairs(score)
-    return {column: row for row, column, value in zip(
-        rows.tolist(), columns.tolist(), score[rows, columns].tolist(), strict=True) if value > 0}
-
-
-def _merged_labels(tracks: Sequence[Track], match: Mapping[int, int], overlap: Overlap,
+def _merged_labels(known: KnownPlanes, match: np.ndarray, overlap: Overlap,
                    deviation2: np.ndarray) -> np.ndarray:
     """
     Return, for each plane of an image, the label that was merged into it since the last image.
@@ -176,14 +158,14 @@ def _merged_labels(tracks: Sequence[Track], match: Mapping[int, int], overlap: O
     covers most of its pixels, and is coplanar with it. 0: none; the largest plane if there are
     several.
     """
-    count = deviation2.shape[1]
-    merged, most = np.zeros(count, np.int64), np.zeros(count)
-    lost = {t for t, track in enumerate(tracks) if not track.missed} - set(match.values())
-    for old in lost if count else ():
+    merged, most = np.zeros(len(match), np.int64), np.zeros(len(match))
+    is_lost = known.missed == 0
+    is_lost[match[match >= 0]] = False
+    for old in is_lost.nonzero()[0] if len(match) else ():
         new = int(overlap.of_known[old].argmax())
-        share, size = overlap.of_known[old, new], len(tracks[old].pixels)
+        share, size = overlap.of_known[old, new], known.sizes[old]
         if (share > _MERGED_SHARE and share * size > most[new]
-                and new in match and not tracks[match[new]].missed
+                and match[new] >= 0 and known.missed[match[new]] == 0
                 and deviation2[old, new] <= _MOST_DEVIATIONS**2):
-            merged[new], most[new] = tracks[old].label, share * size
+            merged[new], most[new] = known.planes.labels[old], share * size
     return merged
