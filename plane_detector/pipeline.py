@@ -246,8 +246,7 @@ class PlaneDetector:
             gravity = around.gravity if scale.has_true_angles else NO_GRAVITY
             ground = find_ground(planes, depth_m, seen.intrinsics, gravity, config,
                                  is_metric=scale.is_metric, doubt=seen.doubt)
-            planes = replace(planes, planes=replace(
-                planes.planes, classes=np.array(ground.classes, np.uint8)))
+            planes = replace(planes, planes=replace(planes.planes, classes=ground.classes))
         with timer('tracking'):
             # 6. Labels that are stable from image to image.
             planes = state.tracker.update(planes, config.tracking)

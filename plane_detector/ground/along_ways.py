@@ -73,17 +73,20 @@ def _far(down, x, y):
 @kernel(f'int64[::1]({_LABELS}, {_LINES}, int64, boolean[::1])', is_short=True)
 def first_met(labels, lines, count, possible):
     """Return how many of every fourth way meet each plane before any other possible one."""
-    votes, is_met = np.zeros(len(possible), np.int64), np.zeros(count, np.bool_)
+    votes, left = np.zeros(len(possible), np.int64), np.arange(0, count, 4)
+    n = len(left)
     for i in range(len(lines)):
         u0, v0, du, dv, start, step, first, end, low, high = _line(lines, i)
-        for w in range((first + 3) // 4 * 4, end, 4):
-            if is_met[w]:
-                continue
-            a = min(max((start + w * step) >> FRACTION_BITS, low), high - 1)
-            k = labels[v0 + dv * a, u0 + du * a]
+        before, n = n, 0
+        for m in range(before):
+            w, k = left[m], np.int32(-1)
+            if first <= w < end:
+                a = min(max((start + w * step) >> FRACTION_BITS, low), high - 1)
+                k = labels[v0 + dv * a, u0 + du * a]
             if 0 <= k < len(possible) and possible[k]:
                 votes[k] += 1
-                is_met[w] = True
+            else:
+                left[n], n = w, n + 1
     return votes
 
 

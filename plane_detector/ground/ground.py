@@ -89,7 +89,7 @@ RANGE_QUANTILE, AT_RANGE_SHARE = 0.998, 0.5
 class Ground:
     """The ground of one image."""
 
-    classes: tuple[PlaneClass, ...]  # one per plane
+    classes: np.ndarray  # (K,) uint8, values of `PlaneClass`
     # the ground of the image and the drops, in the optical frame
     pixels: GroundPixels | SeenGround
     # height above the own floor, and angle of the optical axis below the horizon; NaN unknown
@@ -107,8 +107,9 @@ class Surfaces:
     offsets: np.ndarray  # (K + 1,)
     covariances: np.ndarray  # (K + 1, 4, 4)
     centroids: np.ndarray  # (K + 1, 3)
-    # (K + 1,) float64: angle between their upper side and the vertical; above 90 for what faces
-    # down
+    # (K + 1,) float64: cosine of the angle between their upper side and the vertical, and this
+    # angle; above 90 for what faces down
+    uprights: np.ndarray
     slopes_deg: np.ndarray
     down: np.ndarray  # (3,) float64
 
@@ -116,29 +117,29 @@ class Surfaces:
     def of(cls, found: PlaneSegmentation, down: np.ndarray, height_m: float) -> Surfaces:
         """Collect the planes of an image."""
         planes = found.planes
-        normals = np.vstack([planes.normals, -down])
-        return cls(normals, np.append(planes.offsets_m, height_m),
+        normals = np.concatenate([planes.normals, -down[None]])
+        uprights = -normals @ down
+        return cls(normals, np.concatenate([planes.offsets_m, [height_m]]),
                    np.concatenate([planes.covariances, np.zeros((1, 4, 4))]),
-                   np.vstack([planes.centroids_m, height_m * down]),
-                   np.degrees(np.arccos(np.clip(-normals @ down, -1, 1))), down)
+                   np.concatenate([planes.centroids_m, height_m * down[None]]),
+                   uprights, np.degrees(np.arccos(uprights.clip(-1, 1))), down)
 
     def heights(self) -> np.ndarray:
         """Return the height (K + 1,) of the camera over each plane, infinite over walls."""
-        return self.offsets / np.maximum(-self.normals @ self.down, 1e-9)
+        return self.offsets / np.maximum(self.uprights, 1e-9)
 
     def above(self, own: int) -> tuple[np.ndarray, np.ndarray]:
         """Return height and error (K + 1,) of each plane's centroid over one of them."""
         points = np.column_stack([self.centroids, np.ones(len(self.offsets))])
-        upright = max(-self.normals[own] @ self.down, 1e-9)
-        heights = (self.centroids @ self.normals[own] + self.offsets[own]) / upright
-        variances = sum(np.einsum('ki,kij,kj->k', points, covariances, points)
-                        for covariances in (self.covariances, self.covariances[[own]].repeat(
-                            len(points), axis=0)))
+        heights = ((self.centroids @ self.normals[own] + self.offsets[own])
+                   / max(self.uprights[own], 1e-9))
+        variances = (np.einsum('ki,kij,kj->k', points, self.covariances, points)
+                     + np.einsum('ki,ij,kj->k', points, self.covariances[own], points))
         return heights, np.sqrt(np.maximum(variances, 0.0))
 
     def table(self) -> np.ndarray:
         """Return the rows (K + 1, 5) of the compiled loops, see `along_ways`."""
-        inverse = 1 / np.maximum(-self.normals @ self.down, 1e-6)
+        inverse = 1 / np.maximum(self.uprights, 1e-6)
         return np.column_stack([self.normals * inverse[:, None], self.offsets * inverse,
                                 inverse]).astype(np.float32)
 
@@ -291,10 +292,9 @@ def find_ground(found: PlaneSegmentation, depth_m: np.ndarray, intrinsics: Camer
 
     """
     limits, labels = config.ground, np.ascontiguousarray(found.labels, np.int32)
-    unknown, nothing = (PlaneClass.UNKNOWN,) * len(found.planes), GroundPixels(
-        mask=np.zeros(labels.shape, bool), obstacles=np.zeros(labels.shape, bool))
+    unknown = np.zeros(len(found.planes), np.uint8)
     if gravity.gravity_camera is None:
-        return Ground(unknown, nothing, note='the direction of gravity is not known')
+        return Ground(unknown, _nothing(labels), note='the direction of gravity is not known')
     # 1. and 2. The direction down and the own floor.
     known_m = config.scale.camera_height if is_metric else 0.0
     depth_m, rays = np.ascontiguousarray(depth_m, np.float32), pixel_rays(intrinsics)
@@ -309,20 +309,21 @@ def find_ground(found: PlaneSegmentation, depth_m: np.ndarray, intrinsics: Camer
         if rough_m:
             known_m, down, own = rough_m, gravity.gravity_camera, len(found.planes)
     if down is None:
-        return Ground(unknown, nothing, note='the direction of gravity is known too coarsely')
-    without_unit = replace(nothing, lack=GroundLack.UNIT)
+        return Ground(unknown, _nothing(labels),
+                      note='the direction of gravity is known too coarsely')
     surfaces, down32 = Surfaces.of(found, down, known_m), down.astype(np.float32)
     tilt_deg = float(np.degrees(np.arcsin(np.clip(down[2], -1, 1))))
     pixels = SeenGround(depth_m, labels, ways, rays, intrinsics.fx, surfaces.table(),
                         np.zeros(len(found.planes) + 1, bool), -1, down32, limits,
                         float(found.disparity_noise), tells_drops=False)
     if valid_depth(depth_m[::8, ::8]).mean() < SEEN_SHARE:
-        return Ground(classify_planes(found.planes, down), replace(nothing, lack=GroundLack.DEPTH),
+        return Ground(classify_planes(found.planes, down), _nothing(labels, GroundLack.DEPTH),
                       tilt_deg=tilt_deg, note='nothing is seen: hardly any pixel has a depth up '
                       f'to {config.depth.max_depth:g} m')
     if own is None:
         note = _unseen(depth_m, rays, surfaces, known_m)
-        return Ground(classify_planes(found.planes, down), pixels if is_metric else without_unit,
+        return Ground(classify_planes(found.planes, down),
+                      pixels if is_metric else _nothing(labels, GroundLack.UNIT),
                       tilt_deg=tilt_deg, note=note or 'no floor is seen')
     height_m = float(surfaces.heights()[own])
     unit_m = 1.0 if is_metric else height_m
@@ -348,7 +349,7 @@ def find_ground(found: PlaneSegmentation, depth_m: np.ndarray, intrinsics: Camer
                        STEP_RANGE_M if is_metric else 0.0, limits.max_slope + SLOPE_MARGIN_DEG,
                        own if is_metric else -1)
     if not is_metric:
-        return Ground(classes, without_unit, tilt_deg=tilt_deg,
+        return Ground(classes, _nothing(labels, GroundLack.UNIT), tilt_deg=tilt_deg,
                       note='the unit of depth is not known')
     # 4. and 5. Pixels and drops.
     error_m = SIGMAS * float(found.disparity_noise) * TOLD_AT_M * height_m
@@ -359,6 +360,11 @@ def find_ground(found: PlaneSegmentation, depth_m: np.ndarray, intrinsics: Camer
     pixels = replace(pixels, is_ground=joined | lower, own=own, tells_drops=not doubt)
     return Ground(classes, pixels, height_m, tilt_deg, _mounting(
         found, labels, ways, gravity, config, own), doubt)
+
+
+def _nothing(labels: np.ndarray, lack: GroundLack = GroundLack.GRAVITY) -> GroundPixels:
+    """Return that no pixel of an image is ground or obstacle, and what it lacks for that."""
+    return GroundPixels(lack, np.zeros(labels.shape, bool), np.zeros(labels.shape, bool))
 
 
 @lru_cache(maxsize=4)
@@ -519,10 +525,10 @@ def _are_flat(depth_m: np.ndarray, labels: np.ndarray, rays: tuple[np.ndarray, n
 
 def _classes(found: PlaneSegmentation, surfaces: Surfaces, above: np.ndarray, joined: np.ndarray,
              at_level: np.ndarray, risers: np.ndarray, step_range_m: float,
-             steepest_deg: float, own: int) -> tuple[PlaneClass, ...]:
-    """Return the class of each plane."""
-    classes = np.array([*classify_planes(found.planes, surfaces.down), PlaneClass.FLOOR])
-    is_sure_slope = np.array([*are_certain(found.planes, surfaces.down, steepest_deg), True])
+             steepest_deg: float, own: int) -> np.ndarray:
+    """Return the class of each plane (K,)."""
+    classes = np.append(classify_planes(found.planes, surfaces.down), PlaneClass.FLOOR)
+    is_sure_slope = np.append(are_certain(found.planes, surfaces.down, steepest_deg), True)
     is_level = surfaces.slopes_deg <= LEVEL_DEG
     # Steps are reached from the ground, or from other steps; without metres there are none.
     is_step, linked = joined.copy(), risers >= MIN_JOINS
@@ -535,7 +541,7 @@ def _classes(found: PlaneSegmentation, surfaces: Surfaces, above: np.ndarray, jo
     # What the robot stands on is ground, however uncertain its orientation; so it is floor.
     is_sure_slope[own] = True
     classes[at_level & is_sure_slope] = PlaneClass.FLOOR
-    return tuple(PlaneClass(kind) for kind in classes[:-1])
+    return classes[:-1]
 
 
 def _rows(drops: np.ndarray) -> np.ndarray:

@@ -29,7 +29,7 @@ MIN_FRAME_SHARE = 0.5
 
 
 def classify_planes(planes: Planes, down: np.ndarray,
-                    tolerance_deg: float = TOLERANCE_DEG) -> tuple[PlaneClass, ...]:
+                    tolerance_deg: float = TOLERANCE_DEG) -> np.ndarray:
     """
     Distinguish walls, the ceiling and other horizontal planes.
 
@@ -44,8 +44,8 @@ def classify_planes(planes: Planes, down: np.ndarray,
 
     Returns
     -------
-    tuple of PlaneClass
-        One per plane. The ceiling is the highest horizontal plane that faces down, with all planes
+    (K,) uint8
+        Values of PlaneClass. The ceiling is the highest horizontal plane that faces down, with all
         at that level. Which of those that face up is the floor, the pixels decide: see
         :func:`~plane_detector.ground.ground.find_ground`.
 
@@ -55,20 +55,20 @@ def classify_planes(planes: Planes, down: np.ndarray,
     ...     return Plane(np.array(normal), offset_m, np.zeros(3), 1, 0.0, 1.0, np.zeros((4, 4)), 1)
     >>> table, ceiling, wall = plane([0, -1, 0], 0.8), plane([0, 1, 0], 1.2), plane([0, 0, -1], 3)
     >>> planes = Planes.of([table, ceiling, wall])
-    >>> [kind.name for kind in classify_planes(planes, np.array([0.0, 1.0, 0.0]))]
+    >>> [PlaneClass(kind).name for kind in classify_planes(planes, np.array([0.0, 1.0, 0.0]))]
     ['OTHER_HORIZONTAL', 'CEILING', 'WALL']
 
     """
     facing_down, offsets = planes.normals @ down, planes.offsets_m
-    upright, level = np.sin(np.radians(tolerance_deg)), np.cos(np.radians(tolerance_deg))
+    upright, level = math.sin(math.radians(tolerance_deg)), math.cos(math.radians(tolerance_deg))
     above = facing_down >= level
     outermost = above & (offsets >= (1.0 - SAME_LEVEL_SHARE) * offsets[above].max(initial=0.0))
-    classes = np.full(len(planes), PlaneClass.OTHER)
+    classes = np.full(len(planes), PlaneClass.OTHER, np.uint8)
     classes[np.abs(facing_down) <= upright] = PlaneClass.WALL
     classes[np.abs(facing_down) >= level] = PlaneClass.OTHER_HORIZONTAL
     classes[outermost] = PlaneClass.CEILING
     classes[~are_certain(planes, down, tolerance_deg)] = PlaneClass.OTHER
-    return tuple(PlaneClass(value) for value in classes)
+    return classes
 
 
 def are_certain(planes: Planes, down: np.ndarray,

@@ -41,17 +41,17 @@ ROOF = plane([1, 1, 0], 2.0)
 
 def test_each_kind_of_plane():
     planes = Planes.of((WALL, FLOOR, TABLE, CEILING, LAMP, ROOF, SIDE))
-    assert classify_planes(planes, DOWN) == (
+    assert classify_planes(planes, DOWN).tolist() == [
         PlaneClass.WALL, PlaneClass.OTHER_HORIZONTAL, PlaneClass.OTHER_HORIZONTAL,
-        PlaneClass.CEILING, PlaneClass.OTHER_HORIZONTAL, PlaneClass.OTHER, PlaneClass.WALL)
+        PlaneClass.CEILING, PlaneClass.OTHER_HORIZONTAL, PlaneClass.OTHER, PlaneClass.WALL]
     assert lowest_level(planes, DOWN).offset_m == FLOOR.offset_m
 
 
 def test_the_tolerance_is_inclusive_and_no_more():
     leaning = plane([0, -np.cos(np.radians(7.9)), np.sin(np.radians(7.9))], 1.0)
-    assert classify_planes(Planes.of([leaning]), DOWN) == (PlaneClass.OTHER_HORIZONTAL,)
+    assert classify_planes(Planes.of([leaning]), DOWN) == [PlaneClass.OTHER_HORIZONTAL]
     leaning = plane([0, -np.cos(np.radians(8.1)), np.sin(np.radians(8.1))], 1.0)
-    assert classify_planes(Planes.of([leaning]), DOWN) == (PlaneClass.OTHER,)
+    assert classify_planes(Planes.of([leaning]), DOWN) == [PlaneClass.OTHER]
 
 
 @pytest.mark.parametrize(('sigma_deg', 'is_known'), [(0.0, True), (4.0, True), (25.0, False)])
@@ -94,7 +94,7 @@ def test_of_uncertain_orientation_the_own_floor_is_floor_and_a_level_surface_no_
 
 def test_pieces_of_one_ceiling_are_all_ceiling():
     pieces = Planes.of([CEILING, plane([0, 1, 0], 1.15)])
-    assert classify_planes(pieces, DOWN) == (PlaneClass.CEILING,) * 2
+    assert classify_planes(pieces, DOWN).tolist() == [PlaneClass.CEILING] * 2
 
 
 def test_coarse_gravity_becomes_the_floors():
