@@ -69,39 +69,36 @@ def fit_frame(segments: LineSegments, axes: np.ndarray, used: tuple[int, ...] = 
         The axes that segments may point to; the others are rotated with them.
 
     """
-    sums, used = np.zeros((5, 3)), list(used)
+    axes, is_used = np.array(axes, float), np.isin((0, 1, 2), used)
     for k in range(SEARCH_ROUNDS + FIT_ROUNDS):
         tolerance_deg = SEARCH_TOLERANCE_DEG if k < SEARCH_ROUNDS else FIT_TOLERANCE_DEG
         sums = _normal_equations(segments.normals, segments.midpoints, segments.lengths,
-                                 axes[used], math.sin(math.radians(tolerance_deg)))
+                                 axes, is_used, math.sin(math.radians(tolerance_deg)))
         # OpenCV: numpy takes several times as long to begin with so few numbers.
-        axes = axes @ cv2.Rodrigues(-cv2.solve(_regular(sums), sums[3][:, None])[1])[0].T
-    weight, weight_square, squares = sums[4]
+        axes = axes @ cv2.Rodrigues(cv2.solve(sums[:3], sums[3][:, None])[1])[0]
+    weight, weight_square, squares = sums[4].tolist()
     independent = weight**2 / max(weight_square, 1e-12)
     # Covariance of weighted means: moment^-1 times the variance over the independent segments.
     variance = squares / max(independent - len(used), 1.0)
-    return FrameFit(axes, np.linalg.inv(_regular(sums)) * variance)
-
-
-def _regular(sums: np.ndarray) -> np.ndarray:
-    """Return the moment of the normal equations, made invertible if no segment sees an axis."""
-    return sums[:3] + (1e-6 * sums[4, 0] + 1e-12) * np.eye(3)
+    return FrameFit(axes, cv2.invert(sums[:3])[1] * variance)
 
 
 @kernel('float64[:, ::1](float64[:, ::1], float64[:, ::1], float64[::1], float64[:, ::1], '
-        'float64)', is_short=True)
-def _normal_equations(normals, midpoints, lengths, directions, widest):
+        'boolean[::1], float64)', is_short=True)
+def _normal_equations(normals, midpoints, lengths, directions, is_used, widest):
     """
     Return moment (3, 3), gradient (3,) and (sum w, sum w^2, sum w s^2) of the misalignments s.
 
     Each segment contributes to the direction closest to it, weighted by its length and Tukey's
     weight; the derivative with respect to a small rotation is d x n over the length of the
-    direction's image.
+    direction's image. The moment is invertible even if no segment sees an axis.
     """
     sums, jacobian = np.zeros((5, 3)), np.zeros(3)
     for i in range(len(lengths)):
         nearest, sine = 0, np.inf
         for j in range(len(directions)):
+            if not is_used[j]:
+                continue
             candidate = _sine(normals[i], midpoints[i], directions[j])
             if abs(candidate) < abs(sine):
                 nearest, sine = j, candidate
@@ -120,4 +117,6 @@ def _normal_equations(normals, midpoints, lengths, directions, widest):
         sums[4, 0] += weight
         sums[4, 1] += weight * weight
         sums[4, 2] += weight * sine * sine
+    for a in range(3):
+        sums[a, a] += 1e-6 * sums[4, 0] + 1e-12
     return sums

@@ -111,10 +111,10 @@ def _matches(before: LineSegments, after: LineSegments) -> tuple[np.ndarray, np.
     """Return the indices of segments that are mutual nearest neighbours."""
     if not len(before) or not len(after):
         return np.zeros(0, int), np.zeros(0, int)
-    distance = np.linalg.norm(before.midpoints[:, None] - after.midpoints, axis=2)
+    x, y = (before.midpoints[:, None, axis] - after.midpoints[:, axis] for axis in (0, 1))
     sine = np.abs(before.tangents[:, :1] * after.tangents[:, 1]
                   - before.tangents[:, 1:] * after.tangents[:, 0])
-    cost = distance / MATCH_DISTANCE + sine / MATCH_SINE
+    cost = np.sqrt(x * x + y * y) / MATCH_DISTANCE + sine / MATCH_SINE
     best, back = cost.argmin(1), cost.argmin(0)
     index = np.arange(len(before))
     mutual = (back[best] == index) & (cost[index, best] < 1)
