@@ -34,10 +34,9 @@ def thinned(labels: np.ndarray, rows: int) -> np.ndarray:
 
 
 def measure_overlap(pixels: np.ndarray, known_px: np.ndarray, labels: np.ndarray,
-                    count: int) -> Overlap:
+                    found_px: np.ndarray) -> Overlap:
     """Return the overlap of known things, as of :func:`sorted_pixels`, with labels (M,) now."""
-    common, found_px = _count_common(pixels, known_px, labels, count)
-    known_px = known_px[:, None]
+    common, known_px = _count_common(pixels, known_px, labels, len(found_px)), known_px[:, None]
     return Overlap(common / np.maximum(known_px + found_px - common, 1),
                    common / np.maximum(known_px, 1))
 
@@ -59,21 +58,16 @@ def sorted_pixels(labels, count):
     return pixels, sizes
 
 
-@kernel('Tuple((int64[:, ::1], int64[::1]))(int32[::1], int64[::1], int32[::1], int64)',
-        is_short=True)
+@kernel('int64[:, ::1](int32[::1], int64[::1], int32[::1], int64)', is_short=True)
 def _count_common(pixels, known_px, labels, count):
-    """Return the pixels that known things (T,) share with labels, (T, N), and those of each."""
-    common, found_px = np.zeros((len(known_px), count), np.int64), np.zeros(count, np.int64)
-    for i in range(len(labels)):
-        if 0 <= labels[i] < count:
-            found_px[labels[i]] += 1
-    first = 0
+    """Return the number of pixels that known things (T,) share with labels, (T, N)."""
+    common, first = np.zeros((len(known_px), count), np.int64), 0
     for t in range(len(known_px)):
         for i in range(first, first + known_px[t]):
             if pixels[i] < len(labels) and 0 <= labels[pixels[i]] < count:
                 common[t, labels[pixels[i]]] += 1
         first += known_px[t]
-    return common, found_px
+    return common
 
 
 def likeness(nearness: np.ndarray, overlap: Overlap, deviation2: np.ndarray) -> np.ndarray:

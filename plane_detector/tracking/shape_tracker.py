@@ -56,7 +56,7 @@ def update_shape_tracks(tracks: Sequence[ShapeTrack], shapes: Sequence[Shape], l
     labels = thinned(labels, _ROWS)
     pixels, sizes = sorted_pixels(labels, len(shapes))
     known = np.array([(track.label, track.missed) for track in tracks], np.int64).reshape(-1, 2).T
-    names, gone = labels_of_found(*known, _match(tracks, shapes, labels), keep_frames)
+    names, gone = labels_of_found(*known, _match(tracks, shapes, labels, sizes), keep_frames)
     names = names.tolist()
     seen = [ShapeTrack(*one) for one in zip(
         names, shapes, np.split(pixels, np.cumsum(sizes)[:-1]), strict=True)] if names else []
@@ -65,14 +65,14 @@ def update_shape_tracks(tracks: Sequence[ShapeTrack], shapes: Sequence[Shape], l
 
 
 def _match(tracks: Sequence[ShapeTrack], shapes: Sequence[Shape],
-           labels: np.ndarray) -> np.ndarray:
-    """Return the track of each shape (N,), by the labels (M,); -1 none."""
+           labels: np.ndarray, sizes: np.ndarray) -> np.ndarray:
+    """Return the track of each shape (N,), by the labels (M,) and their sizes (N,); -1 none."""
     match = np.full(len(shapes), -1)
     if not tracks or not shapes:
         return match
     overlap = measure_overlap(
         np.concatenate([track.pixels for track in tracks]),
-        np.array([len(track.pixels) for track in tracks]), labels, len(shapes)).of_union
+        np.array([len(track.pixels) for track in tracks]), labels, sizes).of_union
     score = np.array([[max(overlap[t, k], _nearness(track.shape, shape))
                        if _are_alike(track.shape, shape) else 0.0
                        for k, shape in enumerate(shapes)] for t, track in enumerate(tracks)])

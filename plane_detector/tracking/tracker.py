@@ -106,7 +106,7 @@ def update_tracks(known: KnownPlanes, found: PlaneSegmentation, config: Tracking
     """Return what is known after an image, and its planes with their labels."""
     image, after = thinned(found.labels, _ROWS), found.planes
     pixels, sizes = sorted_pixels(image, len(after))
-    overlap = measure_overlap(known.pixels, known.sizes, image, len(after))
+    overlap = measure_overlap(known.pixels, known.sizes, image, sizes)
     moved = _moved_along(known, after, sizes, overlap)
     deviation2, nearness = compare(moved, after, 1 + known.missed)
     match = _match(known, likeness(nearness, overlap, deviation2))
