@@ -42,9 +42,9 @@ from plane_detector.types import CameraIntrinsics
 #
 # Prior of pitch and roll of a camera held by hand or on a robot. tuned: the roll, Brier score of
 # rendered scenes .065 at 8 degrees, .072 at 10, .081 at 12; of real ones .092, .094, .095.
-# derived: the pitch, from level to looking at the floor.
+# chosen: the pitch, from level to looking at the floor.
 HELD_DEG = (35.0, 8.0)
-# derived: the range of cameras that are not put on a side; 153 tilts and 12 azimuths.
+# chosen: the range of cameras that are not put on a side; 153 tilts and 12 azimuths.
 MAX_PITCH_DEG, MAX_ROLL_DEG, STEP_DEG = 60.0, 30.0, 7.5
 # Share of cameras that look straight down (arms, drones, desks), and their tilt from there; 37
 # tilts more. A wall straight ahead and a table straight below have the same lines and normals.
@@ -87,7 +87,7 @@ COARSE_ERROR_DEG, FINE_ERROR_DEG = 3.1, 0.8
 # Error of a segment: of edges and lens, and of its ends over its length at unit focal length.
 # tuned: flat from 0.7 to 1.2; at 1.3 more answers are wrong. derived: 0.7 pixels of 525.
 LINE_DEG, END_ERROR = 1.0, 0.0013
-# Lines closer than this, seen from the camera, are one. derived: 14 pixels of 640; at 1 degree
+# Lines closer than this, seen from the camera, are one. tuned: 14 pixels of 640; at 1 degree
 # twice as many answers from parts of images are wrong, at 2.1 a tenth fewer are given.
 SAME_LINE_DEG = 1.5
 # Votes of a line of this length (60 pixels of 525), growing with the root of the length.
@@ -98,7 +98,7 @@ LINE_VOTE, FULL_LENGTH = 0.5, 0.114
 # as much as so many votes. tuned: flat from 1 to 5 votes and from 0.4 to 0.5. With a fixed share
 # 3 of 60 images of random strokes are answered, with this none.
 STRAY_LINES, STRAY_PRIOR_VOTES, STRAY_ROUNDS = 0.4, 5.0, 10
-# derived: a cell of 16 pixels in an image of 640, about a cell of the segmentation, half of it
+# chosen: a cell of 16 pixels in an image of 640, about a cell of the segmentation, half of it
 # valid.
 CELLS_PER_ROW, LEAST_VALID = 40, 0.5
 # Normals within this angle of that of most others are one surface, which has one vote, if it has
@@ -113,16 +113,16 @@ NORMAL_DEG = (3.5, 7.0, 14.0)
 # Shares of normals that are along no axis, and of those that are only horizontal. tuned: flat
 # from 0.2 to 0.42 and from 0.1 to 0.28.
 STRAY_NORMALS, OTHER_WALLS = 0.3, 0.2
-# Verticals within this angle of the answer are the same. derived: what planes can use.
+# Verticals within this angle of the answer are the same. chosen: what planes can use.
 CLOSE_DEG = 5.0
 # Errors beyond three standard deviations do not count.
 MOST_VARIANCES = 9.0
 UPRIGHT, AHEAD = np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0])
 _NEXT = np.array([1, 2, 0])
-# Keeps the direction of a line defined where it passes through the vanishing point. derived: the
+# Keeps the direction of a line defined where it passes through the vanishing point. chosen: the
 # square of two degrees.
 MIN_IMAGE_LENGTH2 = 1e-3
-# Modes that are carried to the next image, and the least mass of one. derived: others hold less
+# Modes that are carried to the next image, and the least mass of one. chosen: others hold less
 # than the probability that is asked for leaves.
 MOST_MODES, LEAST_MASS = 4, 0.02
 

@@ -14,12 +14,12 @@ import numpy as np
 from plane_detector.compilation import kernel
 from plane_detector.geometry.robust import quantiles
 
-# derived: nearer than any camera measures; the inverse of smaller depths exceeds the precision of
+# chosen: nearer than any camera measures; the inverse of smaller depths exceeds the precision of
 # float32 for the rest of the image.
 MIN_DEPTH_M = 1e-3
 # Quantiles between which the range is measured, so that outliers do not widen it; the median.
 _RANGE_QUANTILES = (0.02, 0.5, 0.98)
-# derived: below the values of rooms and streets, 0.5 to 2.7 times their median disparity, so that
+# chosen: below the values of rooms and streets, 0.5 to 2.7 times their median disparity, so that
 # it only applies if one surface fills the image.
 _MIN_RANGE_OF_LEVEL = 0.25
 DEPTHS = ('metric_depth', 'relative_depth')

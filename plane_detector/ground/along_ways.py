@@ -42,7 +42,7 @@ BEND_GAP_M = 0.5
 # derived: the inverse of the vertical share of a normal, 5 degrees off the vertical. Heights of
 # planes are those under the camera, which say nothing of a riser between steeper ones.
 LEVEL = 1.004
-# derived: behind the rim of a pit no pixel of it can be; this share allows for depth that is
+# chosen: behind the rim of a pit no pixel of it can be; this share allows for depth that is
 # smeared at its edges.
 BEYOND_SHARE = 0.8
 

@@ -18,7 +18,7 @@ MIN_PROBABILITY = 0.9
 # Shares of vertical, horizontal and other planes among those whose normal is known to 2 degrees.
 # measured: 103 planes in the sensors' depth of 16 frames of Kinect, NYU and kitchen.
 UPRIGHT_SHARE, LEVEL_SHARE, OTHER_SHARE = 0.42, 0.26, 0.32
-# derived: far below what any sensor measures, and no division by 0.
+# chosen: far below what any sensor measures, and no division by 0.
 LEAST_SIGMA_RAD = 1e-5
 # Horizontal planes closer than this share of the ceiling's distance are one ceiling (noise).
 SAME_LEVEL_SHARE = 0.08

@@ -34,7 +34,7 @@ from plane_detector.types import CameraIntrinsics, Planes
 # six moments again, of cells all of whose pixels are of one plane.
 XZ, YZ, Z, ZZZ, SQUARE, WHOLE, SUMS = 10, 11, 12, 13, 14, 15, 21
 # Lower bound of the disparity, to avoid division by 0.
-# derived: far below what any sensor measures.
+# chosen: far below what any sensor measures.
 TINY_DISPARITY = 1e-9
 # derived: the columns of measurements: normal (3), centroid (3), offset, rms, area, confidence and
 # the covariance (4 x 4) of normal and offset.

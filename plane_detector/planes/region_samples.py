@@ -16,9 +16,9 @@ from plane_detector.geometry.robust import SIGMA_PER_MEDIAN, median
 from plane_detector.segmentation.cells.pixel_regions import PixelRegions
 from plane_detector.types import CameraIntrinsics, Planes
 
-# derived: 30 in a region of a hundredth of the image, enough for means and spreads.
+# chosen: 30 in a region of a hundredth of the image, enough for means and spreads.
 SAMPLES = 3000
-# derived: a spread needs fewer samples than the distance of a region of the same size.
+# chosen: a spread needs fewer samples than the distance of a region of the same size.
 SPREAD_STEP = 2
 # Cosine between ray and normal below which a plane is seen edge-on and cannot contain the pixel.
 MIN_COSINE = 0.02

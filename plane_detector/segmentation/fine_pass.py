@@ -21,7 +21,7 @@ from plane_detector.segmentation.search.ransac import add_planes, no_planes
 
 # derived: the minimum for a slope and its error.
 MIN_CELL_SIZE_PX = 3
-# derived: half of a plane's pixels may lie in cells that straddle its border.
+# chosen: half of a plane's pixels may lie in cells that straddle its border.
 MIN_CELL_SHARE = 0.5
 
 

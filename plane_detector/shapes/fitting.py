@@ -41,7 +41,7 @@ from plane_detector.types import Plane, ShapeType
 # Number of times that a shape is fitted and its inliers selected.
 _ROUNDS = 2
 _MOST_STEPS = 12
-# derived: for a sum of 500 squares, a twentieth of one standard deviation.
+# chosen: for a sum of 500 squares, a twentieth of one standard deviation.
 _TOLERANCE = 1e-4
 # after: Marquardt 1963, ten times more damping after a bad step, ten times less after a good one.
 _FIRST_DAMPING, _DAMPING_STEP = 1e-3, 10.0
@@ -49,7 +49,7 @@ _FIRST_DAMPING, _DAMPING_STEP = 1e-3, 10.0
 # far away.
 # tuned: benchmark shapes --first-seed 100 --scenes 40; flat from 0.7 to 1.4 times.
 _MOST_SLACK_PX = 12.0
-# derived: the smallest shape, a thousandth of 640 x 480 pixels, has twice as many around it.
+# chosen: the smallest shape, a thousandth of 640 x 480 pixels, has twice as many around it.
 # Sensors that measure nothing next to an edge give only a few rays, at arbitrary positions.
 _MIN_RAYS = 30
 # A shape is rejected if its size is less certain than this, by the covariance of the fit.

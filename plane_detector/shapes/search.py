@@ -52,7 +52,7 @@ _WINDOWS_CELLS = np.array([2, 4, 8, 16, 32])
 _HYPOTHESES = 400
 # Partners drawn for each cell of a sample, since windows extend beyond the component.
 _TRIES = 4
-# derived: with a smaller angle it resembles a cylinder, with a larger one a plane with a dent.
+# chosen: with a smaller angle it resembles a cylinder, with a larger one a plane with a dent.
 _HALF_ANGLES_RAD = (np.radians(4.0), np.radians(70.0))
 # Determinant of three unit normals below which they are coplanar.
 _MIN_DETERMINANT = 1e-6

@@ -43,7 +43,7 @@ MIN_VALID_SHARE = 0.15
 MIN_CELL_SIDE_PX = 2
 # Focal lengths over the image width, and x and y of the principal point, if the camera is not
 # known.
-# derived: 64 degrees, which most cameras of robots and phones have within a third.
+# chosen: 64 degrees, which most cameras of robots and phones have within a third.
 TYPICAL_LENS = np.array([0.8, 0.8, 0.0, 0.0])
 
 

@@ -37,7 +37,7 @@ LATERAL_WINDOW_PX = 4.0
 # A cell has at most so many times the variance of the image's noise: sensors lose what is darker.
 # chosen: a twentieth of the amplitude is twenty times the noise (Foix et al. 2011).
 MAX_LOCAL_RATIO = 400.0
-# derived: avoids division by 0 for cells without depth; any positive number works.
+# chosen: avoids division by 0 for cells without depth; any positive number works.
 MIN_VARIANCE = 1e-30
 
 

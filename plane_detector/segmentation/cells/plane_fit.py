@@ -11,7 +11,7 @@ from plane_detector.compilation import kernel
 # derived: columns of moments, sums over pixels of 1, x, y, xx, xy, yy, d, xd, yd and dd.
 N, X, Y, XX, XY, YY, D, XD, YD, DD = range(10)
 
-# derived: far above the rounding of float64. A smaller eigenvalue, relative to the largest one,
+# chosen: far above the rounding of float64. A smaller eigenvalue, relative to the largest one,
 # counts as zero: the pixels lie on a line, or there are too few cells for the fit.
 MIN_EIGENVALUE = 1e-10
 

@@ -36,7 +36,7 @@ from plane_detector.segmentation.cells.noise import Noise
 from plane_detector.segmentation.cells.pixel_regions import PATCH_SCALE
 
 # Half the size is accurate enough at a quarter of the work.
-# derived: a quarter of the pixels, borders good to two.
+# chosen: a quarter of the pixels, borders good to two.
 SCALE = 2
 # In a patch of one colour the pixels around each differ by less than this in every channel.
 # tuned: eight NYU frames, an office and two table tops labelled by hand, 21 other frames, all
@@ -56,7 +56,7 @@ SAME_SIGMAS = 0.7
 # Steps of which the blur is measured: smallest, in deviations of the pixel and of the smooth
 # noise. derived: the noise of a pixel seldom reaches a fifth of such a step.
 STEP_PIXEL_SIGMAS, STEP_SMOOTH_SIGMAS = 8.0, 2.0
-# Edges are sharp up to this width. derived: a pixel on the edge has a depth between both surfaces.
+# Edges are sharp up to this width. chosen: a pixel on the edge has a depth between both surfaces.
 SHARP_PX = 1.0
 NOT_MOVED = -2  # among the labels proposed for pixels
 

@@ -35,7 +35,7 @@ REACH_CELLS = 3
 # picture frame on a wall is seen.
 MAX_CELLS = 192
 # Twice the limit, reached by so many cells next to the border, ends a test.
-# derived: a quarter, which costs a tenth; more cells hardly ever halve a gain.
+# chosen: a quarter, which costs a tenth; more cells hardly ever halve a gain.
 NEAREST_CELLS = MAX_CELLS // 4
 # Twice the gain in log-likelihood that blurred noise hardly ever reaches, times its power, 2:
 # rougher noise contains more edges.
