@@ -46,6 +46,18 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
         ('xy += sums[1, u]', 'xy -= sums[1, u]', 'sign of a mixed moment'),
         ('= xx * pixel**2 +', '= xx * pixel +', 'dropped factor of a moment'),
         ('2 * of_d + n * d', 'of_d + n * d', 'dropped factor of the squared disparity')),
+    'segmentation/cells/noise.py': (
+        ('least = share * LOCAL_RATIO', 'least = LOCAL_RATIO',
+         'local noise without the own share of pixels'),),
+    'segmentation/cells/model.py': (
+        ('1 / noise.own_share if', 'noise.own_share if', 'the own share of pixels multiplied'),
+        ('table[i, LOCAL_RATIO] = 1 + excess', 'table[i, LOCAL_RATIO] = 1',
+         'the ratio of local noise is not passed on')),
+    'segmentation/cells/noise_correlation.py': (
+        ('residuals[i] -= quadric', 'residuals[i] += quadric', 'bows are added'),),
+    'segmentation/regions/depth_steps.py': (
+        ('2 * count[row, column] >=', '9 * count[row, column] >=',
+         'a piece takes all cells that it touches'),),
     'segmentation/cells/plane_fit.py': (
         ('yy * xd - xy * yd', 'yy * xd + xy * yd', 'sign in the plane fit'),
         ('[i, j] -= factor', '[i, j] += factor', 'sign in an elimination')),
@@ -66,6 +78,10 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
         ('[0, 0] += scale * s_yy', '[0, 0] += scale * s_xx', 'swapped variances'),
         ('offset_m * by_ray', 'by_ray', 'derivatives without the distance'),
         ('0, intrinsics.fy', '0, intrinsics.fx', 'fx for fy')),
+    'planes/reorientation.py': (
+        ('** 2 - LOG_SHIFT_ODDS', '** 2', 'a common shift without odds against it'),
+        ('in (0, len(SHIFT_SHARES) // 2, len(SHIFT_SHARES) - 1)', 'in (len(SHIFT_SHARES) // 2,)',
+         'a shift at the end of its range is taken')),
     'planes/classification.py': (
         ('facing_down >= level', 'facing_down <= -level', 'floor and ceiling swapped'),
         ('(facing_down) <= upright', '(facing_down) <= level', 'sine and cosine swapped')),
@@ -74,7 +90,11 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
         ('FloorFit(scale, scale * found', 'FloorFit(scale, found', 'shift without the scale')),
     'scale/shift_posterior.py': (
         ('raw[..., 2] += tau', 'raw[..., 2] -= tau', 'sign of the shift'),
-        ('- 3 * np.log(length)', '+ 3 * np.log(length)', 'flat worlds are likely')),
+        ('- 3 * np.log(length)', '+ 3 * np.log(length)', 'flat worlds are likely'),
+        (' * angle_sigma_deg / max(spread_deg, 1e-9)', '',
+         'the error of a shift is all of its spread'),
+        ('angle_sigma_deg > MAX_ANGLE_SIGMA_DEG', 'angle_sigma_deg > 180',
+         'uncertain angles are not refused')),
     'scale/sensor_depth.py': (
         (', -beta / alpha,', ', -beta,', 'shift from measured depth without its scale'),),
     'scale/right_angles.py': (
@@ -89,8 +109,10 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
     'directions/gravity_choice.py': (
         ("' if measured is None", "' if measured is not None", 'wrong source of gravity'),),
     'directions/finder.py': (
+        ('None if image.has_shift else surface, odds', 'surface, odds',
+         'normals at a guessed shift are evidence'),
         ('hold_time * self._hold_times', 'hold_time / self._hold_times',
-         'the time of held lines inverted'),),
+         'the time of held lines inverted')),
     'depth/preprocessing.py': (
         ('float32(mean / std)', 'float32(mean)', 'mean without its deviation'),
         ('1 / values if output in DEPTHS else values',
@@ -108,7 +130,9 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
         ('cv2.flip(crop, 1) if view.is_mirrored else crop',
          'crop + 0', 'a mirrored view not turned back'),),
     'depth/far.py': (
-        ('FAR_DEVIATIONS * noise', 'noise', 'dropped factor of the noise'),),
+        ('FAR_DEVIATIONS * noise', 'noise', 'dropped factor of the noise'),
+        ('_is_bright(small, _MIN_FLAT_GREY, 0.0)', '_is_bright(small, 0.0, 0.0)',
+         'dark regions are sky')),
     'depth/temporal_filter.py': (
         ('min(keep, previous.image_count / (previous.image_count + 1))',
          'keep', 'the first images weigh more'),),
@@ -167,7 +191,10 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
          'Prediction(RigidTransform.identity(), pose, drift, drift',
          'the correction is not carried on'),),
     'mapping/plane_map.py': (
-        ('FORGETTING**weight * np', 'np', 'nothing is forgotten'),),
+        ('FORGETTING**weight * np', 'np', 'nothing is forgotten'),
+        ('[_NETWORK_TILT_RAD**2] * 3', '[0.0] * 3', 'normals of a network without their error'),
+        ('is_clear = np.sqrt(found', 'is_clear = 0 * np.sqrt(found',
+         'planes of any normal are added')),
     'mapping/cells.py': (
         ('hits[i, j] += is_hit', 'hits[i, j] += 1', 'every look at a cell is a hit'),),
     'mapping/merging.py': (
