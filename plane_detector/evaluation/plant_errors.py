@@ -55,6 +55,8 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
          'the ratio of local noise is not passed on')),
     'segmentation/cells/noise_correlation.py': (
         ('residuals[i] -= quadric', 'residuals[i] += quadric', 'bows are added'),),
+    'segmentation/search/hypotheses.py': (
+        ('return planes[:n], share', 'return planes[:n], 0.0', 'the same windows in each round'),),
     'segmentation/regions/depth_steps.py': (
         ('2 * count[row, column] >=', '9 * count[row, column] >=',
          'a piece takes all cells that it touches'),),

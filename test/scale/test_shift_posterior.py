@@ -87,6 +87,12 @@ def test_parallel_planes_ahead_do_not_make_a_flat_world():
     assert answer.refusal or turned_deg(shelf, answer.tau) < 3 * answer.angle_sigma_deg
 
 
+def test_planes_in_another_unit_have_its_scale_and_shift():
+    """1/z = 3 D + 0.3 at a pixel of the slopes .2 and -.1."""
+    ray = np.array([0.2, -0.1, 1.0])
+    assert room().scaled(3.0, 0.3) @ ray == pytest.approx(3 * (room().coefficients @ ray) + 0.3)
+
+
 def test_angles_that_are_too_uncertain_are_refused():
     floor = planes([FLOOR], [1.5], [1.0])
     answer = found(floor, 10.0, axes=np.zeros((0, 3)))
