@@ -39,12 +39,6 @@ class DepthConfig(Settings, section='depth'):
         'relative_disparity (unknown scale and shift), relative_depth (unknown scale), auto: as '
         'stated in the zoo; required for a path',
         choices=('auto', 'metric_depth', 'disparity', 'relative_disparity', 'relative_depth'))
-    input_width: int = fixed_setting(
-        0, 'width of the network input, which the image is stretched to; 0: fixed by the '
-        'network or by short_side', 'px', 0, 8192, inner=True)
-    input_height: int = fixed_setting(
-        0, 'height of the network input, which the image is stretched to; 0: fixed by the '
-        'network or by short_side', 'px', 0, 8192, inner=True)
     short_side: int = fixed_setting(
         0, 'short side of the input of a network that accepts any size; the other side follows '
         'from the aspect ratio of the image; 0: default of the network', 'px', 0, 8192)
@@ -69,9 +63,6 @@ class DepthConfig(Settings, section='depth'):
         'ignored for networks of the zoo', '', 0.0, 1.0)
     max_depth: float = setting(
         80.0, 'depth beyond this is invalid', 'm', 0.01, 1e4)
-    damping: float = setting(
-        0.8, 'weight of earlier images in the disparity while nothing moves, to reduce the '
-        'flicker of the network; 0: off', '', 0.0, 0.99, inner=True)
     providers: tuple[str, ...] = fixed_setting(
         ('CPUExecutionProvider',), 'ONNX Runtime execution providers; the first one that '
         'runs is used')
@@ -86,9 +77,6 @@ class DepthConfig(Settings, section='depth'):
         for name in ('mean', 'std'):
             if len(getattr(self, name)) != 3:
                 raise ValueError(f'depth.{name} must be 3 numbers, not {getattr(self, name)!r}')
-        if (self.input_width == 0) != (self.input_height == 0):
-            raise ValueError('depth.input_width and depth.input_height must be given together, '
-                             f'not {self.input_width} and {self.input_height}')
         if not self.providers:
             raise ValueError('depth.providers must name at least one execution provider')
         if self.colour == 'none' and not self.is_measured:
@@ -286,14 +274,6 @@ class ShapesConfig(Settings, section='shapes'):
     types: str = setting(
         'none', 'shapes to search for in metric depth where there is no plane: none, all, or some '
         'of sphere, cylinder, cone, separated by commas')
-    min_radius: float = setting(
-        0.02, 'radius of the smallest sphere or cylinder', 'm', 1e-3, 10.0, inner=True)
-    max_radius: float = setting(
-        1.5, 'radius of the largest sphere, cylinder or visible part of a cone', 'm', 1e-3, 100.0,
-        inner=True)
-    min_share: float = setting(
-        0.001, 'size of the smallest shape, as a share of the pixels', '', 0.0, 1.0, inner=True)
-    max_shapes: int = setting(16, 'maximum number of shapes', '', 1, 255, inner=True)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -390,14 +370,9 @@ class NodeConfig(Settings):
     base_frame: str = fixed_setting(
         '', 'frame of the robot with its origin on the floor, such as base_footprint: direction '
         'of gravity and height of the camera come from TF; empty: off')
-    base_up: tuple[float, ...] = setting(
-        (0.0, 0.0, 1.0), 'direction up in base_frame', '', -1e6, 1e6, inner=True)
     target_frame: str = fixed_setting(
         '', 'frame of the clouds, planes, poses and markers, such as base_link, odom or map, by '
         'TF; empty: that of the image')
-    tf_timeout: float = setting(
-        0.2, 'longest time to wait for a transform; then the frame is skipped', 's', 0.0, 10.0,
-        inner=True)
     points_color: str = setting(
         'image', 'colours of ~/points: those of the image, one per plane as in the markers '
         '(label), or both mixed as in the overlay', choices=('image', 'label', 'overlay'))
@@ -406,11 +381,3 @@ class NodeConfig(Settings):
         'call of ~/detect', choices=('continuous', 'on_demand'))
     points_decimation: int = setting(
         1, 'the clouds contain every n-th row and column; 1: all', '', 1, 64)
-    marker_lifetime: float = setting(
-        0.0, 'markers disappear after this time without new ones; 0: never', 's', 0.0, 1e6,
-        inner=True)
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if len(self.base_up) != 3 or not any(self.base_up):
-            raise ValueError(f'base_up must be 3 numbers, not all zeros, not {self.base_up!r}')

@@ -208,7 +208,6 @@ def test_no_part_of_a_detector_keeps_a_setting_that_may_change(section, field):
 @pytest.mark.parametrize(('make', 'changes', 'said'), [
     (DepthConfig, {'mean': (0.5,)}, 'mean must be 3 numbers'),
     (DepthConfig, {'std': (1.0, 1.0)}, 'std must be 3 numbers'),
-    (DepthConfig, {'input_width': 64}, 'must be given together'),
     (DepthConfig, {'providers': ()}, 'at least one'),
     *((ScaleConfig, {name: value}, name) for name, value in (
         ('gravity', (0.0, 1.0)), ('imu_to_camera', (0.0,) * 4), ('method', 'guess'),

@@ -377,9 +377,7 @@ def resolve(config: DepthConfig) -> NetworkFile:
     if config.views > 1 and not network.focal_per_height:
         raise ValueError(f'depth.views {config.views} needs a metric network whose lens in '
                          f'training the zoo states; use 1 with {network.name}')
-    size = config.input_width, config.input_height
-    network = replace(network, input_size=size if any(size) else network.input_size,
-                      short_side=config.short_side or network.short_side,
+    network = replace(network, short_side=config.short_side or network.short_side,
                       views=config.views or network.views)
     return NetworkFile(network, path, reason, None if network.weights else content)
 

@@ -58,7 +58,8 @@ class OnnxSession:
         self._scalars = self._scalar_inputs()
         self._outputs = self._wanted_outputs()
         self._channels_last, self._fixed_size = self._layout()
-        self._check_wanted_size()
+        if not (all(network.input_size) or all(self._fixed_size) or network.short_side):
+            raise self.misfit('its input may have any size: set depth.short_side')
 
     def input_size(self, width: int, height: int) -> tuple[int, int]:
         """Return the width and height of the input for an image of this size."""
@@ -151,20 +152,6 @@ class OnnxSession:
                 return False, (shape[3], shape[2])
         raise self.misfit('its input must be one RGB image, [1, 3, H, W], [1, H, W, 3] or '
                           '[1, 1, 3, H, W]')
-
-    def _check_wanted_size(self) -> None:
-        wanted, multiple = self._network.input_size, self._network.side_multiple
-        if any(wanted):
-            if any(fixed not in (0, side) for fixed, side in
-                   zip(self._fixed_size, wanted, strict=True)):
-                raise self.misfit('its input has another fixed size than depth.input_width x '
-                                  f'depth.input_height, {wanted}')
-            if any(side % multiple for fixed, side in
-                   zip(self._fixed_size, wanted, strict=True) if not fixed):
-                raise ValueError(f'depth.input_width and depth.input_height, {wanted},'
-                                 f' must be multiples of depth.side_multiple, {multiple}')
-        elif not all(self._fixed_size) and not self._network.short_side:
-            raise self.misfit('its input may have any size: set depth.short_side')
 
     def misfit(self, what: str) -> ValueError:
         """Return an error with the file, the mismatch, and the interface of the file."""

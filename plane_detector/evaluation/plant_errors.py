@@ -218,7 +218,7 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
         ('msg.roi.x_offset', 'msg.roi.y_offset', 'swapped offsets of a cut image'),
         ('[1] /= binning[1]', '[1] /= binning[0]', 'binning of the other axis')),
     'ros/inputs/transforms.py': (
-        ('to_base.rotation.T', 'to_base.rotation', 'gravity in the wrong frame'),),
+        ('-to_base.rotation[2]', '-to_base.rotation[:, 2]', 'gravity in the wrong frame'),),
     'ros/outputs/clouds.py': (
         ("normal_x', 'normal_y", "normal_y', 'normal_x", 'swapped fields of ~/planes'),
         ('target_header, PLANE_DTYPE',

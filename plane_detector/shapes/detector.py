@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from plane_detector.compilation import load_once
-from plane_detector.config import Config, ShapesConfig
+from plane_detector.config import Config
 from plane_detector.segmentation.cells.pixel_regions import PixelRegions
 from plane_detector.shapes.fitting import (
     FittedShape,
@@ -24,6 +24,7 @@ from plane_detector.shapes.fitting import (
     shape_misfit,
 )
 from plane_detector.shapes.labelling import (
+    MIN_SHARE,
     PlanesAndShapes,
     label_shapes,
     on_image,
@@ -83,7 +84,7 @@ class ShapeDetector:
         """
         load_once('shapes')
         planes, shapes, shape_labels = find_shapes(
-            depth_m, planes, regions, intrinsics, config.shapes,
+            depth_m, planes, regions, intrinsics, config.shapes.wanted,
             np.random.default_rng(config.ransac.seed))
         if not config.tracking.enabled:
             self.reset()
@@ -96,7 +97,7 @@ class ShapeDetector:
 
 
 def find_shapes(depth_m: np.ndarray, found: PlaneSegmentation, regions: PixelRegions,
-                intrinsics: CameraIntrinsics, config: ShapesConfig,
+                intrinsics: CameraIntrinsics, wanted: Sequence[str],
                 rng: np.random.Generator) -> PlanesAndShapes:
     """
     Find spheres, cylinders and cones where there is no plane, or only facets of a curved surface.
@@ -117,7 +118,8 @@ def find_shapes(depth_m: np.ndarray, found: PlaneSegmentation, regions: PixelReg
         Planes of this depth, measured on these regions of 1/depth_m.
     regions : PixelRegions
     intrinsics : CameraIntrinsics
-    config : ShapesConfig
+    wanted : sequence of str
+        Of sphere, cylinder and cone.
     rng : numpy.random.Generator
 
     Returns
@@ -134,21 +136,21 @@ def find_shapes(depth_m: np.ndarray, found: PlaneSegmentation, regions: PixelReg
     view = DepthView(np.ascontiguousarray(depth_m, np.float32), found.labels, found.planes,
                      found.planes.counts < _MAX_FACET_SHARE * depth_m.size, noise, intrinsics,
                      grid.size_px, surfels_of_grid(grid, intrinsics, noise))
-    kinds = [ShapeType[name.upper()] for name in config.wanted]
-    return label_shapes(view, found, list(_search(view, kinds, config, rng)), config)
+    kinds = [ShapeType[name.upper()] for name in wanted]
+    return label_shapes(view, found, list(_search(view, kinds, rng)))
 
 
-def _search(view: DepthView, kinds: Sequence[ShapeType], config: ShapesConfig,
+def _search(view: DepthView, kinds: Sequence[ShapeType],
             rng: np.random.Generator) -> Iterator[FoundShape]:
     """Yield the shapes of all components."""
-    min_pixels = config.min_share * view.labels.size
+    min_pixels = MIN_SHARE * view.labels.size
     component = smooth_components(view.surfels, view.surfels.usable & (view.free_shares() > 0.5))
     cells = np.bincount(component[component >= 0])
     for name in np.flatnonzero(cells >= _MIN_CELLS):
         left, failures = component == name, 0
         while (failures < _MAX_FAILURES and left.sum() >= _MIN_CELLS
                and view.surfels.count[left].sum() >= min_pixels):
-            found = _next_shape(view, left, kinds, config, rng)
+            found = _next_shape(view, left, kinds, rng)
             if found is None:
                 break
             left = left & ~found.members
@@ -159,12 +161,12 @@ def _search(view: DepthView, kinds: Sequence[ShapeType], config: ShapesConfig,
 
 
 def _next_shape(view: DepthView, left: np.ndarray, kinds: Sequence[ShapeType],
-                config: ShapesConfig, rng: np.random.Generator) -> FoundShape | None:
+                rng: np.random.Generator) -> FoundShape | None:
     """Return the shape that explains most of the remaining cells, or None."""
     surfels, among = view.surfels, np.flatnonzero(left)
     if plane_misfit(view.free_pixels(left)[0]) <= 1.0:  # flat within the noise
         return None
-    candidates = best_candidates(surfels, among, kinds, config, rng)
+    candidates = best_candidates(surfels, among, kinds, rng)
     union = np.any([candidate.members for candidate in candidates] or [left & False], axis=0)
     if union.sum() < _MIN_CELLS:
         return None

@@ -10,7 +10,6 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from plane_detector.config import ShapesConfig
 from plane_detector.geometry.robust import dilated, touching
 from plane_detector.shapes.fitting import (
     explained_share,
@@ -32,6 +31,8 @@ from plane_detector.types import PlaneSegmentation, Shape, ShapeType
 
 # Remaining planes, shapes, and the index of the shape (H, W) int32 in each pixel, -1 none.
 PlanesAndShapes = tuple[PlaneSegmentation, tuple[Shape, ...], np.ndarray]
+# chosen: size of the smallest shape, as a share of the pixels, and the most shapes of an image.
+MIN_SHARE, _MOST_SHAPES = 0.001, 16
 # Pixels at a silhouette are mixtures, so the surroundings are examined this far outside.
 _RING_PX = 3
 # derived: over this many pixels a surface at 45 degrees to the ray changes as much in depth.
@@ -78,15 +79,15 @@ def open_share(view: DepthView, found: FoundShape) -> float:
     return float(goes_on.mean()) if goes_on.size else 0.0
 
 
-def label_shapes(view: DepthView, planes: PlaneSegmentation, found: Sequence[FoundShape],
-                 config: ShapesConfig) -> PlanesAndShapes:
+def label_shapes(view: DepthView, planes: PlaneSegmentation,
+                 found: Sequence[FoundShape]) -> PlanesAndShapes:
     """Return the remaining planes, the shapes, and their index (H, W) int32 in each pixel."""
     gone, kept = np.zeros(len(planes.planes), bool), []
     taken = np.zeros(planes.labels.shape, bool)
     joined = sorted(_joined(view, list(found)), key=lambda one: -one.members.sum())
-    for one in joined[:config.max_shapes]:
+    for one in joined[:_MOST_SHAPES]:
         mask = one.mask & ~taken[one.window]
-        if mask.sum() >= max(config.min_share * taken.size, 1):
+        if mask.sum() >= MIN_SHARE * taken.size:
             taken[one.window] |= mask
             gone |= one.absorbed
             kept.append(replace(one, mask=mask))

@@ -22,7 +22,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from plane_detector.compilation import kernel
-from plane_detector.config import ShapesConfig
 from plane_detector.shapes.surface import (
     AXIS,
     DEVIATIONS,
@@ -54,6 +53,8 @@ _HYPOTHESES = 400
 _TRIES = 4
 # chosen: with a smaller angle it resembles a cylinder, with a larger one a plane with a dent.
 _HALF_ANGLES_RAD = (np.radians(4.0), np.radians(70.0))
+# chosen: radii of the smallest and the largest sphere or cylinder, and of what is seen of a cone.
+_SMALLEST_M, _LARGEST_M = 0.02, 1.5
 # Determinant of three unit normals below which they are coplanar.
 _MIN_DETERMINANT = 1e-6
 # Hypotheses are compared on a sample of the cells.
@@ -75,7 +76,7 @@ class Candidate:
 
 
 def best_candidates(surfels: Surfels, among: np.ndarray, kinds: Sequence[ShapeType],
-                    config: ShapesConfig, rng: np.random.Generator) -> list[Candidate]:
+                    rng: np.random.Generator) -> list[Candidate]:
     """Return the best hypotheses for some cells (n,) int, at most one per kind."""
     samples = draw_samples(surfels.mask(among), among, rng)
     looked_at = np.ascontiguousarray(among[::-(-len(among) // _SCORED_CELLS)])
@@ -84,7 +85,7 @@ def best_candidates(surfels: Surfels, among: np.ndarray, kinds: Sequence[ShapeTy
     for kind in kinds:
         whole = samples[:, 2 if kind == ShapeType.CONE else 1] >= 0
         shapes = shapes_through(kind, points_m, normals)
-        sane = np.flatnonzero(whole & _is_sane(shapes, points_m[:, 0], config))
+        sane = np.flatnonzero(whole & _is_sane(shapes, points_m[:, 0]))
         shapes = shapes[sane]
         best = best_hypothesis(shapes, surfels.table, looked_at)
         if best >= 0:
@@ -155,14 +156,14 @@ def _unit(vectors: np.ndarray) -> np.ndarray:
     return vectors / np.sqrt(_dot(vectors, vectors))[..., None]
 
 
-def _is_sane(shapes: np.ndarray, seeds_m: np.ndarray, config: ShapesConfig) -> np.ndarray:
+def _is_sane(shapes: np.ndarray, seeds_m: np.ndarray) -> np.ndarray:
     """Return which shapes (H, 8) are as large at their seeds (H, 3) as allowed; NaN is not."""
     radius_m, angle = shapes[RADIUS], shapes[HALF_ANGLE]
     along_m = _dot(seeds_m - shapes[POSITION], shapes[AXIS])
     low, high = _HALF_ANGLES_RAD
     of_cone = ((angle > low) & (angle < high) & (along_m > 0)
-               & (along_m * np.tan(angle) <= config.max_radius))
-    return of_cone | (radius_m >= config.min_radius) & (radius_m <= config.max_radius)
+               & (along_m * np.tan(angle) <= _LARGEST_M))
+    return of_cone | (radius_m >= _SMALLEST_M) & (radius_m <= _LARGEST_M)
 
 
 def connected(surfels: Surfels, shape: np.ndarray, among: np.ndarray, seed: int) -> np.ndarray:

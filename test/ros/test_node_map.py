@@ -33,7 +33,7 @@ def begin(robot, tmp_path, wait=True, **settings):
     odometry.node = start(
         robot, lambda rgb: ROOM.depth_m, wait, transforms=FrameTransforms(odometry.buffer),
           **{'map.enabled': True, 'map.file': str(tmp_path / 'map.json'), 'target_frame': 'odom',
-             'tf_timeout': 0.0, **settings})
+             **settings})
     return odometry
 
 

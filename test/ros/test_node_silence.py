@@ -300,7 +300,7 @@ def test_tf_is_listened_to_only_while_the_settings_need_it(robot, tf2):
 
 def test_transforms_of_a_bag_in_a_loop_are_used_in_each_turn(robot, room, tf2):
     """Also without simulated time: the stamps of the images jump back."""
-    start(robot, lambda rgb: room.depth_m, target_frame='odom', tf_timeout=0.0)
+    start(robot, lambda rgb: room.depth_m, target_frame='odom')
     (listener,) = tf2.listening
 
     def is_placed(stamp_s):

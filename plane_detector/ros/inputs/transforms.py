@@ -18,12 +18,13 @@ from rclpy.time import Time
 from std_msgs.msg import Header
 
 from plane_detector.config import NodeConfig
-from plane_detector.geometry.gravity import unit_direction
 from plane_detector.geometry.rigid_transform import RigidTransform, interpolate
 from plane_detector.ros.inputs.synchronizer import ns_of
 
 # chosen: beyond any place on earth in metres, so that float32 holds what is moved.
 _LARGEST = 1e9
+# chosen: transforms come within a period or two of the camera; then the frame is skipped.
+TIMEOUT_S = 0.2
 
 
 class TransformError(ValueError):
@@ -200,7 +201,7 @@ class FrameTransforms:
     def awaited(self, header: Header, settings: NodeConfig
                 ) -> Callable[[], tuple[CameraPose | None, RigidTransform | None, str]]:
         """
-        Return a function that waits until `tf_timeout` from now for `camera_pose` and `to_target`.
+        Return a function that waits, `TIMEOUT_S` from now, for `camera_pose` and `to_target`.
 
         It returns both, and why the second one is missing. Call it when the other work on the
         frame is done: transforms arrive meanwhile. If those of the frame before were missing, they
@@ -212,7 +213,7 @@ class FrameTransforms:
             The first transform is not available in time; also raised by the function.
 
         """
-        until_s = time.monotonic() + settings.tf_timeout
+        until_s = time.monotonic() + TIMEOUT_S
 
         def wait() -> tuple[CameraPose | None, RigidTransform | None, str]:
             self._was_missing = True
@@ -233,27 +234,25 @@ class FrameTransforms:
         """Return the pose of the camera relative to ``base_frame``; None if none is named."""
         if not settings.base_frame:
             return None
-        to_base = self._lookup(settings.base_frame, header, settings, timeout_s)
-        up_base = unit_direction(settings.base_up)
-        height_m = float(to_base.translation_m @ up_base)
-        return CameraPose(-to_base.rotation.T @ up_base, height_m if height_m > 0 else None)
+        to_base = self._lookup(settings.base_frame, header, timeout_s)
+        height_m = float(to_base.translation_m[2])  # z of the base frame is up (REP-103)
+        return CameraPose(-to_base.rotation[2], height_m if height_m > 0 else None)
 
     def to_target(self, header: Header, settings: NodeConfig, timeout_s: float = 0.0
                   ) -> RigidTransform | None:
         """Return the transform into ``target_frame``; None if the image is in it."""
         if settings.target_frame in ('', header.frame_id):
             return None
-        return self._lookup(settings.target_frame, header, settings, timeout_s)
+        return self._lookup(settings.target_frame, header, timeout_s)
 
-    def _lookup(self, frame: str, header: Header, settings: NodeConfig, timeout_s: float
-                ) -> RigidTransform:
+    def _lookup(self, frame: str, header: Header, timeout_s: float) -> RigidTransform:
         stamp, timeout = Time.from_msg(header.stamp), Duration(seconds=max(timeout_s, 0.0))
         try:
             msg = self._buffer.lookup_transform(frame, header.frame_id, stamp, timeout)
         except Exception as error:  # tf2's classes cannot be imported where it is not installed
             raise ValueError(
                 f'no transform from {header.frame_id} to {frame} at the time of the image, within '
-                f'{settings.tf_timeout:g} s: {error}') from error
+                f'{TIMEOUT_S:g} s: {error}') from error
         return transform_from_msg(msg)
 
 

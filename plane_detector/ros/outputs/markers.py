@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from geometry_msgs.msg import Point, Pose, Vector3
-from rclpy.duration import Duration
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
@@ -53,8 +52,7 @@ def markers_to_msg(frame: DetectedFrame) -> MarkerArray:
 
     The first marker deletes all that were shown before, also those of an earlier node.
     """
-    blank = Marker(header=frame.target_header,
-                   lifetime=Duration(seconds=frame.settings.marker_lifetime).to_msg())
+    blank = Marker(header=frame.target_header)
     return MarkerArray(markers=[_marker(blank, action=Marker.DELETEALL),
                                 *_plane_markers(frame, blank), *_shape_markers(frame, blank)])
 
