@@ -189,14 +189,13 @@ sensor_msgs::msg::PointCloud2 message_of_test() {{
 """
 
 
-@pytest.mark.parametrize('count', [2, 0])
-def test_cpp_prints_the_planes(count, tmp_path):
+def test_cpp_prints_the_planes(tmp_path):
     compiler = shutil.which('g++') or pytest.skip('no C++ compiler')
     include = next((parent / 'include' for parent in Path(sensor_msgs.__file__).parents
                     if (parent / 'include' / 'sensor_msgs').is_dir()), None)
     if include is None:
         pytest.skip('no C++ headers of sensor_msgs')
-    msg = two_planes() if count else OUTPUTS['planes'].make(scene.frame(empty()))
+    msg = two_planes()
     (tmp_path / 'rclcpp').mkdir()
     (tmp_path / 'rclcpp' / 'rclcpp.hpp').write_text(STAND_IN)
     (tmp_path / 'message.cpp').write_text(cpp_of(msg))
@@ -209,7 +208,7 @@ def test_cpp_prints_the_planes(count, tmp_path):
     assert done.stdout.splitlines() == [
         f'{row["label"]} {name} {row["d"]:.2f} m away, normal ' + ' '.join(
             f'{row[f"normal_{axis}"]:.2f}' for axis in 'xyz')
-        for row, name in zip(cloud_array(msg).ravel()[:count], ('wall', 'floor'), strict=False)]
+        for row, name in zip(cloud_array(msg).ravel(), ('wall', 'floor'), strict=True)]
 
 
 def empty():

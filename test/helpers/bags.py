@@ -17,9 +17,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 FORMATS = {
     'mcap': (StoragePlugin.MCAP, CompressionMode.NONE),
     'mcap_zstd_chunks': (StoragePlugin.MCAP, CompressionMode.STORAGE),
-    'mcap_zstd_file': (StoragePlugin.MCAP, CompressionMode.FILE),
     'sqlite3': (StoragePlugin.SQLITE3, CompressionMode.NONE),
-    'sqlite3_zstd_file': (StoragePlugin.SQLITE3, CompressionMode.FILE),
     'sqlite3_zstd_messages': (StoragePlugin.SQLITE3, CompressionMode.MESSAGE)}
 ROS1 = 'ros1.bag'
 CUSTOM_TYPE = 'robot_msgs/msg/Bumper'

@@ -24,7 +24,6 @@ from plane_detector.depth.observation import DepthFunction
 from plane_detector.planes.classification import PlaneClass
 from plane_detector.ros import detector_node, live_settings, transitions
 from plane_detector.ros.diagnostics import Report, introduction, large_image, slow_network
-from plane_detector.ros.spinning import CannotRunError
 from plane_detector.shapes import detector
 
 
@@ -133,10 +132,15 @@ def test_impossible_changes_are_refused_and_change_nothing(robot, name, value, r
     assert not result.successful
     assert reason in result.reason
     assert node.get_parameter(name).value == before
+    assert change_state(robot, Transition.TRANSITION_DEACTIVATE)
+    assert not node.set_parameters([Parameter(name, value=value)])[0].successful
 
 
-def test_configuring_fails_with_the_reason_and_can_be_tried_again(robot, tmp_path):
+def test_configuring_fails_with_the_reason_and_can_be_tried_again(robot, tmp_path, monkeypatch):
+    """Before loops are compiled."""
     pytest.importorskip('onnxruntime', reason='names of networks need ONNX Runtime')
+    compiled = []
+    monkeypatch.setattr(detector_node, 'load_kernels', lambda *_: compiled.append(1))
     node = start(robot, wait=False, depth__model=str(tmp_path / (200 * 'm') / 'missing.onnx'),
                  depth__output='metric_depth')
     assert robot.is_logged('cannot be configured')
@@ -145,14 +149,6 @@ def test_configuring_fails_with_the_reason_and_can_be_tried_again(robot, tmp_pat
     assert values['last_error'].endswith([*NETWORKS][-1]), 'the whole reason'
     assert node.state == 'unconfigured'
     assert not change_state(robot, Transition.TRANSITION_CONFIGURE)
-
-
-def test_a_missing_network_is_reported_before_loops_are_compiled(robot, tmp_path, monkeypatch):
-    compiled = []
-    monkeypatch.setattr(detector_node, 'load_kernels', lambda *_: compiled.append(1))
-    start(robot, wait=False, depth__model=str(tmp_path / 'missing.onnx'))
-    assert robot.is_logged('missing.onnx')
-    assert 'cannot be configured' in robot.log()
     assert not compiled
 
 
@@ -330,13 +326,6 @@ def test_a_wrong_setting_is_not_retried(robot, tries):
     robot.spin(timeout_s=0.5)
     assert node.state == 'unconfigured'
     assert len(tries) == 4
-
-
-def test_with_exit_on_failure_the_spinning_ends_after_the_reason(robot, tries):
-    start(robot, lambda rgb: None, wait=False, exit_on_failure=True)
-    with pytest.raises(CannotRunError, match='exit_on_failure is true'):
-        robot.spin(timeout_s=5.0)
-    assert robot.is_logged('cannot be configured: unreachable')
 
 
 def test_the_log_at_configure_is_three_lines():

@@ -64,34 +64,7 @@ def test_a_network_without_depth_is_reported_for_each_frame(robot, room, tmp_pat
     assert robot.wait_for('planes')[0].header == header(2.0)
 
 
-def test_a_distorted_camera_is_rectified(robot, room):
-    """The image of a lens is made by distorting the rendered one; the planes come out right."""
-    distortion = np.array([-0.25, 0.08, 0.001, 0.001, 0.0])
-    matrix = np.array([[CAMERA.fx, 0, CAMERA.cx], [0, CAMERA.fy, CAMERA.cy], [0, 0, 1]])
-    columns, rows = np.meshgrid(np.arange(320, dtype=np.float64), np.arange(240))
-    straight = cv2.undistortPoints(np.stack([columns, rows], -1).reshape(-1, 1, 2), matrix,
-                                   distortion, P=matrix).reshape(240, 320, 2).astype(np.float32)
-    seen = cv2.remap(room.rgb, straight[..., 0], straight[..., 1], cv2.INTER_LINEAR)
-    images = []
-
-    def estimate(rgb):
-        images.append(rgb)
-        return room.depth_m
-
-    start(robot, estimate)
-    info = camera_info_msg(CAMERA, 1.0)
-    info.d = distortion.tolist()
-    robot.publish('camera_info', info)
-    robot.publish('image', image_msg(seen, 'rgb8', 1.0))
-    robot.wait_for('planes')
-    centre = np.s_[40:200, 50:270]
-    error = np.abs(cv2.blur(images[0], (5, 5)).astype(int) - cv2.blur(room.rgb, (5, 5)))[centre]
-    unrectified = np.abs(cv2.blur(seen, (5, 5)).astype(int) - cv2.blur(room.rgb, (5, 5)))[centre]
-    assert error.mean() < unrectified.mean() / 4
-
-
-@pytest.mark.parametrize('extension', ['.png', '.jpg'])
-def test_compressed_transport(robot, room, extension):
+def test_compressed_transport(robot, room):
     images = []
 
     def estimate(rgb):
@@ -99,8 +72,8 @@ def test_compressed_transport(robot, room, extension):
         return room.depth_m
 
     start(robot, estimate, image_transport='compressed')
-    _, data = cv2.imencode(extension, room.rgb[..., ::-1])
-    msg = CompressedImage(header=header(4.0), format=extension[1:], data=data.tobytes())
+    _, data = cv2.imencode('.jpg', room.rgb[..., ::-1])
+    msg = CompressedImage(header=header(4.0), format='jpg', data=data.tobytes())
     robot.publish('camera_info', camera_info_msg(CAMERA, 4.0))
     robot.publish('image/compressed', msg)
     assert robot.wait_for('planes')[0].header == header(4.0)

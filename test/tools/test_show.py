@@ -79,13 +79,6 @@ def test_what_another_node_sends_cannot_drive_the_terminal_or_end_the_program():
     assert table.splitlines()[3].split()[:3] == ['7', 'class', '99']
 
 
-def test_the_table_is_printed_live(robot):
-    printed = io.StringIO()
-    robot.add(PlanePrinter('/plane_detector', printed, context=robot.context))
-    robot.publish('/plane_detector/planes', two_planes())
-    assert robot.spin(lambda: '2 planes at' in printed.getvalue())
-
-
 def test_a_reader_that_ends_ends_it_quietly(robot):
     """As of `show | head -1`."""
     domain = str(robot.context.get_domain_id())

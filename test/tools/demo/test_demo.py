@@ -101,18 +101,6 @@ def test_demo_is_quiet_when_it_is_ended(tmp_path):
         assert 'Traceback' not in said
 
 
-def test_a_weak_network_is_called_that(monkeypatch, capsys):
-    demo = pytest.importorskip('plane_detector.tools.demo.__main__')
-    options = demo._parser().parse_args(['--model', 'fastdepth'])
-    for name, is_weak in (('fastdepth', True), ('depth_anything_v2_small', False)):
-        found = demo.NETWORKS[name], Path('n.onnx'), 'as named', None
-        monkeypatch.setattr(demo, 'resolve', lambda config, found=found: found)
-        assert demo._network(options) == {'depth.model': name}
-        printed = capsys.readouterr().out
-        assert printed.startswith('\nThrough a depth network: as named.')
-        assert ('Most planes below\n  are wrong' in printed) is is_weak
-
-
 def test_photographs_without_scikit_learn(monkeypatch, images):
     monkeypatch.setitem(sys.modules, 'sklearn', None)
     assert [one.name for one in library_images()] == ['stereo_motorcycle']
