@@ -13,7 +13,8 @@ import numpy as np
 from common import CAMERA, FedNode, Row, fed_node
 from field_faults import REALS, camera_infos, clicks, depths, images, imus
 from geometry_msgs.msg import PointStamped
-from messages import set_parameters
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter
 from ros_helpers import camera_info_msg, header, image_msg
 from sensor_msgs.msg import Imu, PointCloud2
 
@@ -120,6 +121,14 @@ def _clicks(camera: Camera) -> Iterator[tuple[str, Callable[[], None]]]:
     point = PointStamped(header=header(1.0))
     for case, msg in clicks(point):
         yield case, lambda msg=msg: camera.send({'clicked_point': msg})
+
+
+def set_parameters(node: FedNode, values: dict[str, Any]) -> None:
+    """Set parameters, which may be refused."""
+    parameters = [Parameter(name, value=list(value) if isinstance(value, tuple) else value
+                            ).to_parameter_msg() for name, value in values.items()]
+    node.robot.call(SetParameters, 'plane_detector/set_parameters',
+                    SetParameters.Request(parameters=parameters))
 
 
 def _parameters(node: FedNode, camera: Camera) -> Iterator[tuple[str, Callable[[], None]]]:

@@ -19,13 +19,11 @@ import onnxruntime
 from common import Row, table
 from disk import replays
 from fields import fields
-from messages import bombs, random_messages
 from soak import soak
 
 from plane_detector.evaluation.benchmark.report import commit, machine
 
-GROUPS = {'bombs': bombs, 'messages': random_messages, 'fields': fields,
-          'replays': replays}
+GROUPS = {'fields': fields, 'replays': replays}
 
 
 def main() -> int:

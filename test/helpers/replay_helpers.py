@@ -8,12 +8,14 @@ import numpy as np
 import pytest
 from bags import messages_of
 from ros_helpers import FRAME_ID, camera_info_msg, cloud_array, image_msg
+from rosbags.typesys import Stores, get_typestore
 from sensor_msgs.msg import Image, PointCloud2
 
 from plane_detector.types import CameraIntrinsics
 
 CAMERA = CameraIntrinsics(130.0, 130.0, 79.5, 59.5, 160, 120)
 START_S, PERIOD_S = 1700000000, 0.1
+TYPES = get_typestore(Stores.ROS2_JAZZY).types
 IMAGE, INFO, DEPTH = '/cam/image_raw', '/cam/camera_info', '/cam/depth'
 
 
@@ -36,6 +38,18 @@ def camera_messages(scenes, depth=True, names=(IMAGE, INFO, DEPTH)):
             messages.append((names[2], time_ns(index) + 2000,
                              image_msg(scene.depth_m, '32FC1', stamp_s(index))))
     return messages
+
+
+def tf_message(parent, child, translation_m, quaternion, stamp_ns):
+    """Return a transform as it is recorded, quaternion x y z w."""
+    make = {name: TYPES[f'geometry_msgs/msg/{name}'] for name in (
+        'TransformStamped', 'Transform', 'Vector3', 'Quaternion')}
+    return TYPES['tf2_msgs/msg/TFMessage']([make['TransformStamped'](
+        header=TYPES['std_msgs/msg/Header'](TYPES['builtin_interfaces/msg/Time'](
+            stamp_ns // 10**9, stamp_ns % 10**9), parent),
+        child_frame_id=child, transform=make['Transform'](
+            make['Vector3'](*map(float, translation_m)),
+            make['Quaternion'](*map(float, quaternion))))])
 
 
 def rows_of(table):

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 from bags import messages_of, read_bag, write_bag
 from node_helpers import send, start
-from replay_helpers import CAMERA, camera_messages, stamp_s, time_ns
+from replay_helpers import CAMERA, camera_messages, stamp_s, tf_message, time_ns
 from ros_helpers import FRAME_ID, cloud_array, transform_msg
-from rosbags.typesys import Stores, get_typestore
 from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
@@ -19,20 +18,8 @@ from visualization_msgs.msg import MarkerArray
 from plane_detector.evaluation.scenes.walks import walk, with_errors
 from plane_detector.ros.inputs.transforms import FrameTransforms, TransformBuffer
 
-TYPES = get_typestore(Stores.ROS2_JAZZY).types
 IMAGES = 8
 WITH_MAP = '-p', 'target_frame:=odom'
-
-
-def tf_message(pose, stamp_ns):
-    make = {name: TYPES[f'geometry_msgs/msg/{name}'] for name in (
-        'TransformStamped', 'Transform', 'Vector3', 'Quaternion')}
-    return TYPES['tf2_msgs/msg/TFMessage']([make['TransformStamped'](
-        header=TYPES['std_msgs/msg/Header'](
-            TYPES['builtin_interfaces/msg/Time'](stamp_ns // 10**9, stamp_ns % 10**9), 'odom'),
-        child_frame_id=FRAME_ID, transform=make['Transform'](
-            make['Vector3'](*pose.translation_m.tolist()),
-            make['Quaternion'](*pose.quaternion.tolist())))])
 
 
 @pytest.fixture(scope='module')
@@ -43,8 +30,9 @@ def recorded(tmp_path_factory):
     scenes = [walked.scene(k, CAMERA, rng) for k in range(IMAGES)]
     poses = with_errors(walked.poses[:IMAGES], 'drift', rng)
     bag = write_bag(tmp_path_factory.mktemp('map') / 'walk', [
-        *(('/tf', time_ns(k), tf_message(poses[k], round(stamp_s(k) * 1e9)))
-          for k in range(IMAGES)), *camera_messages(scenes)])
+        *(('/tf', time_ns(k), tf_message(
+            'odom', FRAME_ID, pose.translation_m, pose.quaternion, round(stamp_s(k) * 1e9)))
+          for k, pose in enumerate(poses)), *camera_messages(scenes)])
     return bag, poses, scenes
 
 

@@ -7,37 +7,27 @@ import shutil
 import numpy as np
 import pytest
 from bags import messages_of, read_bag, write_bag
-from replay_helpers import camera_messages, planes_of, stamp_s, time_ns
+from replay_helpers import camera_messages, planes_of, stamp_s, tf_message, time_ns
 from ros_helpers import FRAME_ID, cloud_array, header
-from rosbags.typesys import Stores, get_typestore
 from sensor_msgs.msg import Imu, PointCloud2
 
 from plane_detector.geometry.rigid_transform import RigidTransform
 from plane_detector.planes.classification import PlaneClass
 
-TYPES = get_typestore(Stores.ROS2_JAZZY).types
 HEIGHT_M = 1.4
 
 
-def tf_message(gravity_camera, stamp_ns):
+def of_camera(gravity_camera):
     """Return where a camera is that is turned about its x axis only, HEIGHT_M above base_link."""
     angle = -(np.pi / 2 + np.arctan2(gravity_camera[2], gravity_camera[1])) / 2
-    make = {name: TYPES[f'geometry_msgs/msg/{name}'] for name in (
-        'TransformStamped', 'Transform', 'Vector3', 'Quaternion')}
-    transform = make['TransformStamped'](
-        header=TYPES['std_msgs/msg/Header'](
-            TYPES['builtin_interfaces/msg/Time'](stamp_ns // 10**9, stamp_ns % 10**9),
-            'base_link'),
-        child_frame_id=FRAME_ID, transform=make['Transform'](
-            make['Vector3'](0.0, 0.0, HEIGHT_M),
-            make['Quaternion'](float(np.sin(angle)), 0.0, 0.0, float(np.cos(angle)))))
-    return TYPES['tf2_msgs/msg/TFMessage']([transform])
+    return tf_message('base_link', FRAME_ID, (0, 0, HEIGHT_M),
+                      (np.sin(angle), 0, 0, np.cos(angle)), time_ns(0))
 
 
 def write_bag_with_tf(tmp_path, scenes, broken=(), moving=()):
     """Write a bag whose first scene is seen from a camera that /tf_static places."""
     floor = max(range(len(scenes[0].planes)), key=lambda k: -scenes[0].planes[k, 1])
-    static = [tf_message(-scenes[0].planes[floor, :3], time_ns(0)), *broken]
+    static = [of_camera(-scenes[0].planes[floor, :3]), *broken]
     return write_bag(tmp_path / 'walk', [
         *(('/tf_static', time_ns(0), msg) for msg in static),
         *(('/tf', time_ns(0), msg) for msg in moving), *camera_messages(scenes)])
@@ -64,11 +54,8 @@ def test_broken_transforms_are_skipped_and_counted(tmp_path, scenes, replay):
     """A frame that nobody needs, with a quaternion of zeros or NaN, does not end the replay."""
     broken = [b'\0\1\0\0\7']
     for name, value in (('w', 0.0), ('x', np.nan)):
-        msg = tf_message(np.array([0.0, 1.0, 0.0]), time_ns(0))
-        msg.transforms[0].child_frame_id = 'gripper'
-        rotation = msg.transforms[0].transform.rotation
-        rotation.x = rotation.w = 0.0
-        setattr(rotation, name, value)
+        msg = tf_message('base_link', 'gripper', np.zeros(3), np.zeros(4), time_ns(0))
+        setattr(msg.transforms[0].transform.rotation, name, value)
         broken.append(msg)
     code, target, text = replay(write_bag_with_tf(tmp_path, scenes[:1], broken), '-p',
                                 'base_frame:=base_link')
@@ -91,11 +78,8 @@ def test_target_frame_is_that_of_the_outputs(bag_with_tf, replay):
 
 def test_an_ancestor_without_data_is_no_obstacle(tmp_path, scenes, replay):
     """The base is known in odom up to the third frame only; the camera is fixed to the base."""
-    moving = [tf_message(np.array([0.0, 1.0, 0.0]), round(stamp_s(index) * 1e9))
-              for index in (0, 2)]
-    for msg in moving:
-        (transform,) = msg.transforms
-        transform.header.frame_id, transform.child_frame_id = 'odom', 'base_link'
+    moving = [tf_message('odom', 'base_link', np.zeros(3), (0, 0, 0, 1),
+                         round(stamp_s(index) * 1e9)) for index in (0, 2)]
     source = write_bag_with_tf(tmp_path, scenes, moving=moving)
     code, target, text = replay(source, '-p', 'base_frame:=base_link')
     assert code == 0, text
@@ -112,11 +96,7 @@ def test_the_mounting_of_an_imu_comes_from_tf(tmp_path, scenes, replay):
     """An IMU of x forward, y left and z up, as most are, beside a camera of z forward."""
     floor = max(range(len(scenes[0].planes)), key=lambda k: -scenes[0].planes[k, 1])
     turn = RigidTransform.from_quaternion((0.5, -0.5, 0.5, 0.5), np.zeros(3))
-    msg = tf_message(np.array([0.0, 1.0, 0.0]), time_ns(0))
-    (transform,) = msg.transforms
-    transform.header.frame_id, transform.child_frame_id = FRAME_ID, 'imu_link'
-    rotation = transform.transform.rotation
-    rotation.x, rotation.y, rotation.z, rotation.w = 0.5, -0.5, 0.5, 0.5
+    msg = tf_message(FRAME_ID, 'imu_link', np.zeros(3), turn.quaternion, time_ns(0))
     imu = Imu(header=header(stamp_s(0)))
     imu.header.frame_id = 'imu_link'
     force = imu.linear_acceleration
