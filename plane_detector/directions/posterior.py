@@ -37,8 +37,8 @@ from plane_detector.directions.line_segments import LineSegments
 from plane_detector.types import CameraIntrinsics
 
 # Values said to be tuned are so on the views of python -m plane_detector.evaluation.benchmark
-# orientation --only calibration --first-seed 300 --scenes 12, those for normals also with the
-# depth of fastdepth and of the sensors of the same views.
+# orientation --only calibration --first-seed 300 --scenes 12 of commit 671e645, for normals also
+# with the depth of fastdepth and of the sensors of the same views.
 #
 # Prior of pitch and roll of a camera held by hand or on a robot. tuned: the roll, Brier score of
 # rendered scenes .065 at 8 degrees, .072 at 10, .081 at 12; of real ones .092, .094, .095.
