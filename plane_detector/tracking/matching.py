@@ -70,6 +70,12 @@ def _count_common(pixels, known_px, labels, count):
     return common
 
 
+def split_by(pixels: np.ndarray, sizes: np.ndarray) -> list[np.ndarray]:
+    """Return the pixels of each label, as of :func:`sorted_pixels`."""
+    ends = np.cumsum(sizes).tolist()
+    return [pixels[begin:end] for begin, end in itertools.pairwise([0, *ends])]
+
+
 def likeness(nearness: np.ndarray, overlap: Overlap, deviation2: np.ndarray) -> np.ndarray:
     """
     Return how well planes agree in position and coefficients, (T, N), 0 to 1.
@@ -190,3 +196,13 @@ def best_pairs(score: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """
     from scipy.optimize import linear_sum_assignment  # imported late: it takes a tenth of a second
     return linear_sum_assignment(np.nan_to_num(score), maximize=True)
+
+
+def matched(score: np.ndarray, least: float) -> np.ndarray:
+    """Return which known thing each found one (N,) is, by scores (T, N) above a least; -1 none."""
+    match = np.full(score.shape[1], -1)
+    if score.size:
+        rows, columns = best_pairs(score)
+        is_alike = score[rows, columns] > least
+        match[columns[is_alike]] = rows[is_alike]
+    return match

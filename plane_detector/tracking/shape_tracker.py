@@ -10,10 +10,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from plane_detector.tracking.matching import (
-    best_pairs,
     labels_of_found,
+    matched,
     measure_overlap,
     sorted_pixels,
+    split_by,
     thinned,
 )
 from plane_detector.types import Shape
@@ -58,8 +59,8 @@ def update_shape_tracks(tracks: Sequence[ShapeTrack], shapes: Sequence[Shape], l
     known = np.array([(track.label, track.missed) for track in tracks], np.int64).reshape(-1, 2).T
     names, gone = labels_of_found(*known, _match(tracks, shapes, labels, sizes), keep_frames)
     names = names.tolist()
-    seen = [ShapeTrack(*one) for one in zip(
-        names, shapes, np.split(pixels, np.cumsum(sizes)[:-1]), strict=True)] if names else []
+    seen = [ShapeTrack(*one)
+            for one in zip(names, shapes, split_by(pixels, sizes), strict=True)]
     missing = [replace(tracks[k], missed=tracks[k].missed + 1) for k in gone]
     return (*seen, *missing), tuple(names)
 
@@ -67,19 +68,15 @@ def update_shape_tracks(tracks: Sequence[ShapeTrack], shapes: Sequence[Shape], l
 def _match(tracks: Sequence[ShapeTrack], shapes: Sequence[Shape],
            labels: np.ndarray, sizes: np.ndarray) -> np.ndarray:
     """Return the track of each shape (N,), by the labels (M,) and their sizes (N,); -1 none."""
-    match = np.full(len(shapes), -1)
     if not tracks or not shapes:
-        return match
+        return np.full(len(shapes), -1)
     overlap = measure_overlap(
         np.concatenate([track.pixels for track in tracks]),
         np.array([len(track.pixels) for track in tracks]), labels, sizes).of_union
     score = np.array([[max(overlap[t, k], _nearness(track.shape, shape))
                        if _are_alike(track.shape, shape) else 0.0
                        for k, shape in enumerate(shapes)] for t, track in enumerate(tracks)])
-    rows, columns = best_pairs(score)
-    is_alike = score[rows, columns] > _MIN_SCORE
-    match[columns[is_alike]] = rows[is_alike]
-    return match
+    return matched(score, _MIN_SCORE)
 
 
 def _are_alike(before: Shape, after: Shape) -> bool:

@@ -22,12 +22,13 @@ from plane_detector.config import TrackingConfig
 from plane_detector.tracking.camera_motion import estimate_motion
 from plane_detector.tracking.matching import (
     Overlap,
-    best_pairs,
     compare,
     labels_of_found,
     likeness,
+    matched,
     measure_overlap,
     sorted_pixels,
+    split_by,
     thinned,
 )
 from plane_detector.types import NO_PLANES, Planes, PlaneSegmentation
@@ -116,7 +117,7 @@ def update_tracks(known: KnownPlanes, found: PlaneSegmentation, config: Tracking
     after = replace(after, labels=labels, merged=_merged_labels(known, match, overlap, deviation2))
     if not len(gone):
         return KnownPlanes(after, pixels, sizes, streaks, np.zeros_like(sizes)), after
-    parts = np.split(known.pixels, np.cumsum(known.sizes)[:-1])
+    parts = split_by(known.pixels, known.sizes)
     return KnownPlanes(
         after.followed_by(moved.picked(gone)), np.concatenate([pixels, *(parts[k] for k in gone)]),
         np.concatenate([sizes, known.sizes[gone]]), np.concatenate([streaks, known.streaks[gone]]),
@@ -139,14 +140,8 @@ def _moved_along(known: KnownPlanes, after: Planes, sizes: np.ndarray,
 
 def _match(known: KnownPlanes, score: np.ndarray) -> np.ndarray:
     """Return which known plane each found one (N,) is, by scores (T, N); -1 none."""
-    match = np.full(score.shape[1], -1)
-    if score.size:
-        trust = (1 - _YOUTH / known.streaks) * np.where(known.missed > 0, _MISSED, 1.0)
-        score = np.where(score < _MIN_SCORE, 0, score) * trust[:, None]
-        rows, columns = best_pairs(score)
-        is_alike = score[rows, columns] > 0
-        match[columns[is_alike]] = rows[is_alike]
-    return match
+    trust = (1 - _YOUTH / known.streaks) * np.where(known.missed > 0, _MISSED, 1.0)
+    return matched(np.where(score < _MIN_SCORE, 0, score) * trust[:, None], 0.0)
 
 
 def _merged_labels(known: KnownPlanes, match: np.ndarray, overlap: Overlap,

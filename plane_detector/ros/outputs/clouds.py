@@ -128,19 +128,23 @@ _DEPTH, _LABELS, _RGB, _MASK = (f"Array({kind}, 'C', readonly=True)" for kind in
 _GEOMETRY = f'Tuple(({_DEPTH}, float32[::1], float32[::1], float32[:, ::1]))'
 
 
+@kernel('UniTuple(UniTuple(float32, 3), 3)(float32[:, ::1], float32)')
+def _of_row(moved, y):
+    """Return a, b, d of (a x + b) z + d, each coordinate of the points in a row of rays (x, y)."""
+    # In variables: read from the array for every pixel, they take as long as all the rest.
+    return ((moved[0, 0], moved[0, 1] * y + moved[0, 2], moved[0, 3]),
+            (moved[1, 0], moved[1, 1] * y + moved[1, 2], moved[1, 3]),
+            (moved[2, 0], moved[2, 1] * y + moved[2, 2], moved[2, 3]))
+
+
 @kernel(f'void({_GEOMETRY}, {_RGB}, {_LABELS}, float32[:, :, ::1], uint32[:, :, ::1])')
 def _pack_points(geometry, rgb, labels, numbers, bits):
     """Fill (H, W, 5), viewed as floats and as bits: x y z, 0x00RRGGBB, label."""
     depth_m, ray_x, ray_y, moved = geometry
     nearest, endless = np.float32(MIN_DEPTH_M), np.float32(np.inf)
     nothing = np.float32(np.nan)
-    # In variables: read from the array for every pixel, they take as long as all the rest.
-    a, d, e, h, i, m = (moved[0, 0], moved[0, 3], moved[1, 0], moved[1, 3], moved[2, 0],
-                        moved[2, 3])
     for v in range(depth_m.shape[0]):
-        y = ray_y[v]
-        b, f, j = (moved[0, 1] * y + moved[0, 2], moved[1, 1] * y + moved[1, 2],
-                   moved[2, 1] * y + moved[2, 2])
+        (a, b, d), (e, f, h), (i, j, m) = _of_row(moved, ray_y[v])
         for u in range(depth_m.shape[1]):
             z, x = depth_m[v, u], ray_x[u]
             z = z if (z >= nearest) & (z < endless) else nothing
@@ -156,13 +160,9 @@ def _pack_points(geometry, rgb, labels, numbers, bits):
 def _pack_kept(geometry, is_kept, heights_m, sigmas_m, table):
     """Fill the first rows of (N, 3), or of (N, 5) with height and sigma; return their number."""
     depth_m, ray_x, ray_y, moved = geometry
-    a, d, e, h, i, m = (moved[0, 0], moved[0, 3], moved[1, 0], moved[1, 3], moved[2, 0],
-                        moved[2, 3])
     count = 0
     for v in range(depth_m.shape[0]):
-        y = ray_y[v]
-        b, f, j = (moved[0, 1] * y + moved[0, 2], moved[1, 1] * y + moved[1, 2],
-                   moved[2, 1] * y + moved[2, 2])
+        (a, b, d), (e, f, h), (i, j, m) = _of_row(moved, ray_y[v])
         for u in range(depth_m.shape[1]):
             z, x = depth_m[v, u], ray_x[u]
             if not is_kept[v, u] or not (z >= MIN_DEPTH_M and z < np.inf):
