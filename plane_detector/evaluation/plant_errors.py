@@ -48,7 +48,8 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
         ('2 * of_d + n * d', 'of_d + n * d', 'dropped factor of the squared disparity')),
     'segmentation/cells/noise.py': (
         ('least = share * LOCAL_RATIO', 'least = LOCAL_RATIO',
-         'local noise without the own share of pixels'),),
+         'local noise without the own share of pixels'),
+        ('if share < MIN_OWN_SHARE or', 'if', 'smooth noise is local')),
     'segmentation/cells/model.py': (
         ('1 / noise.own_share if', 'noise.own_share if', 'the own share of pixels multiplied'),
         ('table[i, LOCAL_RATIO] = 1 + excess', 'table[i, LOCAL_RATIO] = 1',
@@ -105,6 +106,7 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
         ('self.coefficients + [0.0, 0.0, shift]',
          '(self.coefficients + [0.0, 0.0, shift])', 'shift in the wrong unit'),),
     'directions/posterior.py': (
+        ('(1 - USUAL_RATIO) - near', '(1 - USUAL_RATIO) - far', 'the usual shift at the far end'),
         ('bases[:, 0], mass', '-bases[:, 0], mass', 'gravity points up'),
         ('1] + np.sin(angle) * bases[best, 2',
          '2] + np.sin(angle) * bases[best, 1', 'swapped axes')),
@@ -157,7 +159,11 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
     'types.py': (
         ('self.offsets_m - normals', 'self.offsets_m + normals', 'sign of the translation'),
         ('-translation_m @ rotation', '-translation_m', 'covariance moved without the rotation')),
+    'tracking/camera_motion.py': (
+        ('left[:, 2] *= -1', 'left[:, 2] *= 1', 'a mirror for a rotation'),
+        ('left[:, 2] *= -1', 'left[:, 1] *= -1', 'a mirror mended by another axis')),
     'tracking/matching.py': (
+        ('variance += 2 *', 'variance -= 2 *', 'sign of a mixed covariance'),
         ('after[1][n], before', '-after[1][n], before', 'sign of an offset'),
         ('is_kept = missed <', 'is_kept = missed >', 'missing shapes are forgotten'),
         ('variance / spreads[k, 0]', 'variance * spreads[k, 0]',

@@ -11,7 +11,7 @@ import pytest
 from plane_detector.config import Config, DirectionsConfig
 from plane_detector.directions import finder
 from plane_detector.directions.finder import CameraImage, DirectionFinder, find_in_image
-from plane_detector.directions.posterior import log_odds_down
+from plane_detector.directions.posterior import log_odds_down, usual_inverse_depth
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.evaluation.scenes.rooms import attic, random_room
 from plane_detector.evaluation.scenes.textures import rolled_room, room_from_above, textured
@@ -104,6 +104,11 @@ def test_from_above_nothing_is_five_times_as_far(far, is_likely):
     disparity, aside = np.ones((48, 64), np.float32), np.tile([1.0, 0.0, 0.0], (9, 1))
     disparity[:, 32:] = far  # no trend from top to bottom
     assert (log_odds_down(disparity, aside) > 0) == is_likely
+
+
+def test_a_usual_shift_makes_the_near_tenth_twice_as_near_as_the_far_one():
+    inverse = usual_inverse_depth(np.tile(np.linspace(-3.0, 5.0, 480)[:, None], (1, 640)))
+    assert np.quantile(inverse, 0.1) / np.quantile(inverse, 0.9) == pytest.approx(0.43, abs=0.02)
 
 
 def test_normals_at_a_guessed_shift_are_no_evidence(monkeypatch):

@@ -139,7 +139,7 @@ def test_the_largest_surface_of_a_sensor_stays_one_plane(case, seed):
 
 
 @pytest.mark.parametrize(('blur_px', 'times', 'own_share'), [
-    (0.0, 12, 1.0), (0.8, 4, 0.42), (8.0, 12, 0.0)])
+    (0.0, 12, 1.0), (0.8, 4, 0.42), (8.0, 40, 0.0)])
 def test_noise_is_local_where_a_dark_carpet_has_more(blur_px, times, own_share):
     """Unless neighbours share it; the noise of the image is that of the other half."""
     rng, sigma_m = np.random.default_rng(0), np.full(WALL.depth_m.shape, 0.001)
@@ -150,7 +150,7 @@ def test_noise_is_local_where_a_dark_carpet_has_more(blur_px, times, own_share):
     error /= error.std()
     noisy_m = WALL.depth_m + sigma_m * error
     noise = noise_of(noisy_m)
-    assert noise.own_share == pytest.approx(own_share, abs=0.05)
+    assert noise.own_share == pytest.approx(own_share, rel=0.1)  # 0: exactly
     assert noise_of(WALL.depth_m + times * 0.001 * error).own_share == 0.0
     if own_share:
         assert noise.pixel_sigma < 0.002 * np.median(1 / WALL.depth_m) ** 2

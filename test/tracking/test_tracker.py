@@ -193,6 +193,17 @@ def test_planes_differ_by_the_errors_of_both():
     assert found == pytest.approx((0.3 / 4.15) ** 2 / (0.03**2 + (0.2 / 4.3) ** 2), rel=0.01)
 
 
+def test_a_plane_that_may_turn_about_its_centroid_is_as_far_there_as_one_that_may_not():
+    """Its offset is -n . c, so that the errors of n and of the offset cancel at the centroid."""
+    centroid_m, of_normal = np.array([2.0, 1.0, 4.0]), np.diag([0.1, 0.1, 0.0]) ** 2
+    turn = np.vstack([np.eye(3), -centroid_m])  # of the coefficients, by the normal
+    unsure = replace(BACK, centroid_m=centroid_m, covariance=turn @ of_normal @ turn.T)
+    sure = replace(unsure, covariance=np.zeros((4, 4)), offset_m=4.3)
+    found = compare(Planes.of([unsure]), Planes.of([sure]), np.ones(1))[0].item()
+    off = 0.3 / np.linalg.norm(centroid_m)
+    assert found == pytest.approx(off**2 / 2 / 0.03**2, rel=0.01)
+
+
 def test_a_score_that_is_no_number_pairs_nothing_and_ends():
     score = np.array([[np.nan, 0.2], [0.9, np.nan], [np.nan, np.nan]])
     rows, columns = best_pairs(score)
