@@ -185,14 +185,6 @@ class SegmentationConfig(Settings, section='segmentation'):
 class RansacConfig(Settings, section='ransac'):
     """Search for planes by sequential RANSAC."""
 
-    inlier_threshold: float = setting(
-        3.0, 'a pixel within this many standard deviations of a plane is an inlier', '', 0.1,
-        100.0, inner=True)
-    noise_floor: float = setting(
-        0.0005, 'lower bound of the depth noise', 'm', 1e-6, 1.0, inner=True)
-    confidence: float = setting(
-        0.99, 'the search stops early when the largest plane has been sampled with this '
-        'probability', '', 0.0, 0.999999, inner=True)
     max_iterations: int = setting(
         1000, 'maximum number of hypotheses per search', '', 1, 1000000, inner=True)
     seed: int = setting(0, 'seed of the random generator', '', 0, 2**31 - 1, inner=True)

@@ -20,11 +20,11 @@ import output_scene as scene
 import pytest
 import rclpy
 import sensor_msgs
+from map_helpers import map_plane
 from ros_helpers import cloud_array, header, random_domain
 
 from plane_detector.geometry.rigid_transform import RigidTransform
-from plane_detector.mapping.cells import Cells
-from plane_detector.mapping.map_plane import CLASSES, MapPlane, as_planes
+from plane_detector.mapping.map_plane import as_planes
 from plane_detector.mapping.plane_map import MapSnapshot
 from plane_detector.planes.classification import PlaneClass
 from plane_detector.ros.outputs.frame import MapView
@@ -77,12 +77,10 @@ def test_both_know_all_classes(listener):
 def map_msg():
     """Return a map: a table turned by 30 degrees, a small box, an underside, a floor."""
     def surface(label, kind, side, middle, rows, columns):
-        seen = np.full((rows, columns), 10, np.uint8)
         x, y = np.cos(np.radians(30)), np.sin(np.radians(30))
         axes = np.array([[x, y, 0], [-side * y, side * x, 0], [0, 0, side]])
-        return MapPlane(label, np.array(middle, float), axes, np.zeros(3), 1e-6 * np.eye(3),
-                        Cells((-columns // 2, -rows // 2), seen, seen.copy(), 0.05), 5, 0.0, 1.0,
-                        1, np.eye(CLASSES)[kind])
+        return map_plane(label, kind, middle, axes, np.full((rows, columns), 10),
+                         (-columns // 2, -rows // 2))
 
     level = PlaneClass.OTHER_HORIZONTAL
     surfaces = (surface(3, level, 1, (1, 2, 0.75), 14, 24),

@@ -12,7 +12,7 @@ from __future__ import annotations
 import hashlib
 import os
 import uuid
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -263,15 +263,27 @@ def _fetch_file(network: Network, main: Path, wanted: FileToFetch,
     """Return how a file beside ``main`` came, and its verified content."""
     path = main.with_name(wanted.name)
     is_there = path.is_file()
+    # Not the process id: containers that share a cache volume often have the same ids.
+    temporary = path.with_name(f'.{path.name}.{uuid.uuid4().hex}.part')
     try:
         if is_there and (content := _verified(path, wanted)) is not None:
             return 'cached', content
-        with _new_file(path) as write:
-            content = download(wanted.sources, wanted.sha256, wanted.size_bytes, unreachable)
-            write(content)
+        with _explained(path.parent):  # before a download that may take minutes
+            path.parent.mkdir(parents=True, exist_ok=True)
+            temporary.touch(exist_ok=False)
+        content = download(wanted.sources, wanted.sha256, wanted.size_bytes, unreachable)
+        with _explained(path.parent):
+            with open(temporary, 'wb') as file:
+                file.write(content)
+                file.flush()
+                os.fsync(file.fileno())  # otherwise a power failure could leave an empty file
+            os.replace(temporary, path)
     except OSError as error:
         why = f'the cached file is damaged, and {error}' if is_there else str(error)
         raise NetworkUnavailableError(network, main, why) from error
+    finally:
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
     return 'fetched again, the cached one was damaged' if is_there else 'fetched', content
 
 
@@ -283,29 +295,6 @@ def _verified(path: Path, wanted: FileToFetch) -> bytes | None:
             return None
         content = file.read(size)
     return content if hashlib.sha256(content).hexdigest() == wanted.sha256 else None
-
-
-@contextmanager
-def _new_file(path: Path) -> Iterator[Callable[[bytes], None]]:
-    """Create a temporary file; the block calls the function with the content of the file."""
-    # Not the process id: containers that share a cache volume often have the same ids.
-    temporary = path.with_name(f'.{path.name}.{uuid.uuid4().hex}.part')
-
-    def write(content: bytes) -> None:
-        with _explained(path.parent):
-            with open(temporary, 'wb') as file:
-                file.write(content)
-                file.flush()
-                os.fsync(file.fileno())  # otherwise a power failure could leave an empty file
-            os.replace(temporary, path)
-    try:
-        with _explained(path.parent):
-            path.parent.mkdir(parents=True, exist_ok=True)
-            temporary.touch(exist_ok=False)
-        yield write
-    finally:
-        with suppress(OSError):
-            temporary.unlink(missing_ok=True)
 
 
 @contextmanager

@@ -21,7 +21,7 @@ from plane_detector.geometry.projection import depth_to_points
 from plane_detector.process import one_thread
 from plane_detector.segmentation.cells.grid import CellGrid, DisparityImage, build_cell_grid
 from plane_detector.segmentation.cells.labels import count_labels, relabel_sequential
-from plane_detector.segmentation.cells.model import Frame
+from plane_detector.segmentation.cells.model import MAX_DEVIATIONS, Frame
 from plane_detector.segmentation.cells.noise import Noise, estimate_noise
 from plane_detector.segmentation.cells.pixel_regions import PixelRegions
 from plane_detector.segmentation.cells.plane_fit import fit_planes
@@ -264,5 +264,5 @@ def ransac_alone(depth_m: np.ndarray, config: Config | None = None) -> np.ndarra
     v, u = np.ogrid[:labels.shape[0], :labels.shape[1]]
     for k, (a, b, c) in enumerate(grid.planes_in_pixels(planes)):
         error = (image.values - (a * u + b * v + c)) ** 2
-        labels[image.valid & (labels < 0) & (error < frame.threshold**2 * variance)] = k
+        labels[image.valid & (labels < 0) & (error < MAX_DEVIATIONS**2 * variance)] = k
     return labels

@@ -19,7 +19,7 @@ from plane_detector.geometry.disparity import disparity_range, zero_filled
 from plane_detector.process import retain_freed_memory
 from plane_detector.segmentation.cells.grid import TYPICAL_LENS, DisparityImage, build_cell_grid
 from plane_detector.segmentation.cells.labels import rename_labels
-from plane_detector.segmentation.cells.model import Frame, PlaneRegions
+from plane_detector.segmentation.cells.model import MAX_DEVIATIONS, Frame, PlaneRegions
 from plane_detector.segmentation.cells.noise import DepthKind, Noise, with_quantisation
 from plane_detector.segmentation.cells.noise_correlation import Correlation
 from plane_detector.segmentation.cells.normal_slopes import NormalMap, slopes_of
@@ -41,9 +41,12 @@ from plane_detector.segmentation.regions.merging import (
     merge_bowed_walls,
     merge_coplanar,
 )
-from plane_detector.segmentation.regions.region_graph import MAX_DEVIATIONS, RegionGraph
+from plane_detector.segmentation.regions.region_graph import RegionGraph
 from plane_detector.segmentation.search.plane_search import search_planes, sees_creases
 
+# Lower bound of the error of depth.
+# chosen: the largest rounding error of 16-bit millimetres.
+DEPTH_FLOOR_M = 0.0005
 # Residuals of exact planes in a disparity of unknown unit, as a share of its range.
 # chosen: above the rounding of 16-bit images, 1.5e-5 of the range, by a margin.
 RELATIVE_FLOOR = 1e-4
@@ -59,14 +62,13 @@ def metric_noise_floor(config: Config, disparity_noise: float = 0.0) -> Noise:
     Parameters
     ----------
     config : Config
-        Its ``ransac.noise_floor`` is used; its ``segmentation.disparity_noise``, if not 0,
-        replaces the argument.
+        Its ``segmentation.disparity_noise``, if not 0, replaces the argument.
     disparity_noise : float
         Noise stated for the depth source, 1/m; 0 if none.
 
     """
     source_sigma = config.segmentation.disparity_noise or disparity_noise
-    return Noise(config.ransac.noise_floor, source_sigma=source_sigma)
+    return Noise(DEPTH_FLOOR_M, source_sigma=source_sigma)
 
 
 def unitless_noise_floor(disparity: np.ndarray, disparity_noise: float = 0.0) -> Noise:
@@ -159,7 +161,7 @@ def _measured(frame: Frame, regions: PlaneRegions,
     """Return pixel labels and planes of sensor depth, with pixel noise and smooth noise."""
     cells = frame.cells
     # Only if creases do not stand far above the noise it can hide steps.
-    if not sees_creases(frame.grid, frame.noise, MAX_DEVIATIONS * frame.threshold):
+    if not sees_creases(frame.grid, frame.noise, MAX_DEVIATIONS**2):
         regions = split_at_depth_steps(frame, regions, correlation)
         regions = reassign_cells(frame, regions, correlation)
     graph = merge_coplanar(cells, RegionGraph.of(cells, regions), correlation)

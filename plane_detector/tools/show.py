@@ -39,12 +39,13 @@ with quiet_interrupt(), explained_imports():
 
 _CLASS_NAMES = {int(one): one.readable for one in PlaneClass}
 _CLEAR = '\x1b[2J\x1b[H'
-_HEAD = (f'{"label":>5}  {"class":<16} {"distance":>8} {"width":>7} {"height":>7} {"area":>8} '
-         f'{"rms":>7} {"sure":>5}  normal')
-
-
-_MAP_HEAD = (f'{"label":>5}  {"class":<16} {"x":>7} {"y":>7} {"z":>7} {"width":>7} {"height":>7} '
-             f'{"area":>8} {"views":>5} {"sigma":>7}  normal')
+# Head, field, width and format of each column between the class and the normal.
+_SIZES = (('width', 'rect_width', 7, '.2f'), ('height', 'rect_height', 7, '.2f'),
+          ('area', 'area', 8, '.2f'))
+_COLUMNS = (('distance', 'd', 8, '.2f'), *_SIZES, ('rms', 'rms', 7, '.3f'),
+            ('sure', 'confidence', 5, '.0%'))
+_MAP_COLUMNS = (*((axis, axis, 7, '.2f') for axis in 'xyz'), *_SIZES, ('views', 'views', 5, 'd'),
+                ('sigma', 'sigma_d', 7, '.3f'))
 
 
 def table_of(msg: PointCloud2, is_metric: bool = True, camera: str = '') -> str:
@@ -59,31 +60,19 @@ def table_of(msg: PointCloud2, is_metric: bool = True, camera: str = '') -> str:
         rows = [row for row in rows if not row['subsumed_by']]
     frame_id = plain(msg.header.frame_id)
     return '\n'.join([f'{len(rows)} planes at {stamp_text(msg)} in {frame_id}, {unit}',
-                      *filter(None, [camera]), *(map_lines if is_map else plane_lines)(rows)])
+                      *filter(None, [camera]), *table_lines(rows, is_map)])
 
 
-def plane_lines(rows: Iterable[np.void]) -> list[str]:
-    """Return the header and a line for each row of ``~/planes``."""
-    lines = [_HEAD]
+def table_lines(rows: Iterable[np.void], is_map: bool = False) -> list[str]:
+    """Return the header and a line for each row of ``~/planes``, or of ``~/map/planes``."""
+    columns = _MAP_COLUMNS if is_map else _COLUMNS
+    heads = ' '.join(f'{head:>{width}}' for head, _, width, _ in columns)
+    lines = [f'{"label":>5}  {"class":<16} {heads}  normal']
     for row in rows:
         name = _CLASS_NAMES.get(int(row['class']), f'class {row["class"]}')
+        values = ' '.join(f'{row[field]:>{width}{form}}' for _, field, width, form in columns)
         normal = ' '.join(f'{row[f"normal_{axis}"]:+.2f}' for axis in 'xyz')
-        lines.append(f'{row["label"]:>5}  {name:<16} {row["d"]:>8.2f} {row["rect_width"]:>7.2f} '
-                     f'{row["rect_height"]:>7.2f} {row["area"]:>8.2f} {row["rms"]:>7.3f} '
-                     f'{row["confidence"]:>5.0%}  {normal}')
-    return lines
-
-
-def map_lines(rows: Iterable[np.void]) -> list[str]:
-    """Return the header and a line for each row of ``~/map/planes`` that is a plane."""
-    lines = [_MAP_HEAD]
-    for row in rows:
-        name = _CLASS_NAMES.get(int(row['class']), f'class {row["class"]}')
-        place, normal = (' '.join(f'{row[prefix + axis]:{form}}' for axis in 'xyz')
-                         for prefix, form in (('', '7.2f'), ('normal_', '+.2f')))
-        lines.append(f'{row["label"]:>5}  {name:<16} {place} {row["rect_width"]:>7.2f} '
-                     f'{row["rect_height"]:>7.2f} {row["area"]:>8.2f} {row["views"]:>5} '
-                     f'{row["sigma_d"]:>7.3f}  {normal}')
+        lines.append(f'{row["label"]:>5}  {name:<16} {values}  {normal}')
     return lines
 
 
@@ -108,11 +97,11 @@ class PlanePrinter(Node):
         super().__init__('plane_printer', **node_options)
         self._as_json = as_json
         self._name, self._stream, self.has_printed = detector.strip('/'), stream, False
-        self._is_metric, self._camera, self._told = True, '', ''
+        self._is_metric, self._camera, self._warned = True, '', ''
         self.topic = f'/{self._name}/{"map/planes" if of_map else "planes"}'
         self.create_subscription(PointCloud2, self.topic, self._print, output_profile(of_map))
         self.create_subscription(DiagnosticArray, '/diagnostics', self._note_facts, 10)
-        self._silence = self.create_timer(GRACE_S, self._tell_silence)
+        self._silence = self.create_timer(GRACE_S, self._warn_of_silence)
 
     def _note_facts(self, msg: DiagnosticArray) -> None:
         for status in msg.status:
@@ -121,11 +110,11 @@ class PlanePrinter(Node):
                 self._is_metric = facts.get('scale') != RELATIVE
                 self._camera = camera_line(facts)
 
-    def _tell_silence(self) -> None:
+    def _warn_of_silence(self) -> None:
         problem = self.why_nothing()
-        if problem != self._told:
+        if problem != self._warned:
             self.get_logger().warning(problem)
-        self._told = problem
+        self._warned = problem
 
     def why_nothing(self) -> str:
         """Return why no planes arrive, and what to do."""

@@ -17,9 +17,9 @@ from plane_detector.segmentation.cells.grid import DisparityImage, build_cell_gr
 from plane_detector.segmentation.cells.model import Frame, PlaneRegions, add_up, weigh_cells
 from plane_detector.segmentation.cells.noise import Noise, estimate_noise
 from plane_detector.segmentation.cells.plane_fit import fit_planes
-from plane_detector.segmentation.segment import segment, unitless_noise_floor
+from plane_detector.segmentation.segment import DEPTH_FLOOR_M, segment, unitless_noise_floor
 
-EXACT = Noise(Config().ransac.noise_floor)
+EXACT = Noise(DEPTH_FLOOR_M)
 """No noise but the floor."""
 
 

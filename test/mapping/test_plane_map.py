@@ -7,6 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from map_helpers import map_plane
 
 from plane_detector import Config, PlaneDetector
 from plane_detector.config import DepthConfig, MapConfig
@@ -16,9 +17,8 @@ from plane_detector.evaluation.scenes.rooms import single_wall
 from plane_detector.evaluation.scenes.walks import walk, with_errors
 from plane_detector.geometry.rigid_transform import RigidTransform
 from plane_detector.mapping.association import Pairs, assign
-from plane_detector.mapping.cells import Cells
 from plane_detector.mapping.heights import with_pose_error
-from plane_detector.mapping.map_plane import CLASSES, MapPlane, as_planes
+from plane_detector.mapping.map_plane import as_planes
 from plane_detector.mapping.merging import merge_touched
 from plane_detector.mapping.plane_map import FORGETTING, PlacedDetection, PlaneMap
 from plane_detector.types import CameraIntrinsics, PlaneClass
@@ -204,10 +204,8 @@ def test_a_wall_is_not_the_picture_that_it_covers():
 
 def piece(label, left_m, apart=()):
     """Return a piece of the floor, 1 m x 1 m."""
-    seen = np.full((20, 20), 5, np.uint8)
-    return MapPlane(label, np.array([left_m, 0.0, 0.0]), np.eye(3), np.zeros(3),
-                    1e-4 * np.eye(3), Cells((0, 0), seen, seen.copy(), 0.05), 5, 0.0, 1.0, 1,
-                    np.eye(CLASSES)[PlaneClass.FLOOR], frozenset(apart))
+    return map_plane(label, PlaneClass.FLOOR, (left_m, 0, 0), np.eye(3), np.full((20, 20), 5),
+                     variance=1e-4, apart=apart)
 
 
 @pytest.mark.parametrize('larger, smaller, third, labels', [

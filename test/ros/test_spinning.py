@@ -70,6 +70,13 @@ def ended(work, name='SIGTERM', with_output=False):
     return done.returncode, done.stdout + done.stderr if with_output else done.stderr
 
 
+def test_a_node_that_cannot_be_made_is_exit_code_1_with_the_reason():
+    program = program_of('pass').replace("node = Node('node')", "raise ValueError('a wrong mode')")
+    done = run_program(program)
+    assert (done.returncode, done.stdout + done.stderr) == (
+        1, 'the node cannot start: a wrong mode\n')
+
+
 def test_without_a_folder_for_logs_the_node_says_how_to_name_one():
     done = run_program('from plane_detector.ros.node import main; main([])', HOME='/proc/none',
                        ROS_HOME='', ROS_LOG_DIR='')

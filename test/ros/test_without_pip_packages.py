@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """With measured depth, the node and its tests do without the packages that only pip has."""
 
-import os
 import subprocess
 import sys
 from pathlib import Path
@@ -15,14 +14,25 @@ ROOT = Path(__file__).resolve().parents[2]
 HIDDEN = "import sys; sys.modules.update(dict.fromkeys(('onnxruntime', 'rosbags')))"
 
 
-@pytest.fixture
-def hidden(tmp_path, monkeypatch):
+@pytest.fixture(scope='module')
+def hidden(tmp_path_factory):
     """Hide both packages from new processes."""
-    (tmp_path / 'sitecustomize.py').write_text(HIDDEN)
-    monkeypatch.setenv('PYTHONPATH', str(tmp_path))
-    monkeypatch.setenv('FASTRTPS_DEFAULT_PROFILES_FILE',
+    folder = tmp_path_factory.mktemp('hidden')
+    (folder / 'sitecustomize.py').write_text(HIDDEN)
+    with pytest.MonkeyPatch.context() as changed:
+        changed.setenv('PYTHONPATH', str(folder))
+        changed.setenv('FASTRTPS_DEFAULT_PROFILES_FILE',
                        str(ROOT / 'config' / 'fastdds_large_messages.xml'))
-    return tmp_path
+        yield folder
+
+
+@pytest.fixture(scope='module', autouse=True)
+def collecting(hidden):
+    """Collect all tests, beside the first ones here."""
+    with subprocess.Popen(
+            [sys.executable, '-m', 'pytest', '--collect-only', '-q', str(ROOT / 'test')], cwd=ROOT,
+            stdout=subprocess.PIPE, text=True) as process:
+        yield process
 
 
 def test_planes_from_measured_depth(hidden):
@@ -45,7 +55,7 @@ def test_planes_from_measured_depth(hidden):
 
 def test_a_network_without_its_runtime_is_explained(hidden):
     domain = random_domain()
-    node = NodeProcess(['-p', 'depth.model:=fastdepth'], domain, hidden / 'node.log')
+    node = NodeProcess(['-p', 'depth.model:=fastdepth'], domain, hidden / 'network.log')
     try:
         node.wait_until(lambda: 'onnxruntime' in node.log() and node.process.poll() is not None)
         assert "pip install 'onnxruntime>=" in node.log()
@@ -54,10 +64,8 @@ def test_a_network_without_its_runtime_is_explained(hidden):
         node.process.wait()
 
 
-def test_no_test_needs_them_to_be_collected(hidden):
-    done = subprocess.run(
-        [sys.executable, '-m', 'pytest', '--collect-only', '-q', str(ROOT / 'test')], cwd=ROOT,
-        env=os.environ, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stdout
-    assert 'ONNX Runtime, which networks need, is not installed' in done.stdout
-    assert 'rosbags, which replay needs, is not installed' in done.stdout
+def test_no_test_needs_them_to_be_collected(collecting):
+    printed = collecting.communicate()[0]
+    assert collecting.returncode == 0, printed
+    assert 'ONNX Runtime, which networks need, is not installed' in printed
+    assert 'rosbags, which replay needs, is not installed' in printed

@@ -8,21 +8,18 @@ from xml.etree import ElementTree
 import cv2
 import numpy as np
 import pytest
+from map_helpers import map_plane
 
 from plane_detector.geometry.rigid_transform import RigidTransform
-from plane_detector.mapping.cells import Cells
 from plane_detector.mapping.map_file import SavedMap, write_map
-from plane_detector.mapping.map_plane import CLASSES, MapPlane, new_axes
+from plane_detector.mapping.map_plane import new_axes
 from plane_detector.tools.export import floor_plan, main
 from plane_detector.types import PlaneClass
 
 
 def surface(label, kind, normal, origin, seen):
-    counts = 10 * np.asarray(seen, np.uint8)
     axes = new_axes(np.array([normal], float), np.eye(3)[2])[0]
-    return MapPlane(label, np.array(origin, float), axes, np.zeros(3), 1e-6 * np.eye(3),
-                    Cells((0, 0), counts, counts.copy(), 0.05), 5, 0.0, 1.0, 1,
-                    np.eye(CLASSES)[kind])
+    return map_plane(label, kind, origin, axes, 10 * seen)
 
 
 @pytest.fixture

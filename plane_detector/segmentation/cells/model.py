@@ -24,6 +24,9 @@ from plane_detector.segmentation.cells.plane_fit import N, add_moments, fit_plan
 # A cell whose pixels deviate from its own plane by more than two sigma straddles an edge.
 # tuned: benchmark sensitivity; flat to 1.4 times; at 0.7 times recall -0.011.
 MAX_PIXEL_VARIANCES = 4.0
+# What lies within so many standard deviations of a plane is an inlier.
+# chosen: one normal deviate in 370 is larger.
+MAX_DEVIATIONS = 3.0
 # The mean of chi-squared of cells about a joint plane is 1 if they are coplanar.
 # tuned: rooms, lived-in rooms, curved scenes and real frames; not flat: at 0.7 times precision
 # -0.02, at 1.4 times 0.06 more of curved surfaces have labels at noise 0.01.
@@ -145,11 +148,6 @@ class Frame:
     def kind(self) -> DepthKind:
         """Kind of its depth errors."""
         return self.noise.kind(self.grid.typical_disparity)
-
-    @property
-    def threshold(self) -> float:
-        """Inlier threshold in standard deviations."""
-        return self.config.ransac.inlier_threshold
 
     @cached_property
     def cells(self) -> WeightedCells:

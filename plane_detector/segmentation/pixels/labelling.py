@@ -18,9 +18,9 @@ import numpy as np
 
 from plane_detector.compilation import kernel
 from plane_detector.segmentation.cells.labels import at_borders
-from plane_detector.segmentation.cells.model import LOCAL_RATIO, Frame
+from plane_detector.segmentation.cells.model import LOCAL_RATIO, MAX_DEVIATIONS, Frame
 from plane_detector.segmentation.cells.noise import DepthKind
-from plane_detector.segmentation.regions.region_graph import MAX_DEVIATIONS, RegionGraph
+from plane_detector.segmentation.regions.region_graph import RegionGraph
 from plane_detector.segmentation.search.plane_search import sees_creases
 
 
@@ -45,7 +45,7 @@ def label_pixels(frame: Frame, graph: RegionGraph) -> np.ndarray:
     """
     noise, disparity = frame.noise, frame.image.values
     found = np.empty(disparity.shape, np.int32)
-    sees = sees_creases(frame.grid, noise, frame.threshold)
+    sees = sees_creases(frame.grid, noise, MAX_DEVIATIONS)
     # In other depth neighbouring pixels share their error.
     if frame.kind is DepthKind.MEASURED:
         disparity = _smooth(disparity, frame.image.valid, MAX_DEVIATIONS * noise.pixel_sigma)
@@ -77,8 +77,8 @@ def pixel_tolerance(frame: Frame) -> tuple[float, float, float]:
     """Return the squared tolerance of 1/z: t[0] + t[1] / z**4 + t[2] * slope**2 per pixel."""
     noise = frame.noise
     variance = noise.mean_sigma**2 + noise.pixel_sigma**2 + noise.disparity_floor**2
-    return (frame.threshold**2 * variance, (frame.threshold * noise.depth_floor_m) ** 2,
-            (frame.threshold * noise.lateral_px) ** 2)
+    return (MAX_DEVIATIONS**2 * variance, (MAX_DEVIATIONS * noise.depth_floor_m) ** 2,
+            (MAX_DEVIATIONS * noise.lateral_px) ** 2)
 
 
 @kernel('void(Tuple((int32[:, ::1], int64)), Tuple((float32[:, ::1], boolean[:, ::1], int64)), '

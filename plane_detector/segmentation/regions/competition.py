@@ -26,6 +26,7 @@ from plane_detector.compilation import kernel
 from plane_detector.config import DbscanConfig
 from plane_detector.segmentation.cells.labels import at_borders
 from plane_detector.segmentation.cells.model import (
+    MAX_DEVIATIONS,
     MEAN_WEIGHT,
     Frame,
     PlaneRegions,
@@ -65,7 +66,7 @@ def compete_for_cells(frame: Frame, regions: PlaneRegions) -> PlaneRegions:
     if len(regions.coefficients) == 0:
         return regions
     labels = _compete(regions.labels, at_borders(regions.labels, 1),
-                      (regions.coefficients, frame.cells.table), frame.threshold**2)
+                      (regions.coefficients, frame.cells.table), MAX_DEVIATIONS**2)
     clusters, count = label_clusters(labels, frame.config.dbscan)
     return fit_regions(frame.cells, clusters, count, frame.min_pixels)
 

@@ -17,7 +17,7 @@ from __future__ import annotations
 import numpy as np
 
 from plane_detector.compilation import kernel
-from plane_detector.segmentation.cells.model import MIN_VARIANCE
+from plane_detector.segmentation.cells.model import MAX_DEVIATIONS, MIN_VARIANCE
 from plane_detector.segmentation.cells.noise_correlation import Correlation
 from plane_detector.segmentation.cells.plane_fit import (
     XX,
@@ -31,7 +31,6 @@ from plane_detector.segmentation.cells.plane_fit import (
     solve_least_squares,
 )
 from plane_detector.segmentation.regions.region_graph import (
-    MAX_DEVIATIONS,
     PLANE_TERMS,
     PRODUCTS,
     VARIANCE,

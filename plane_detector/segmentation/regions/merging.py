@@ -32,6 +32,7 @@ import numpy as np
 from plane_detector.compilation import kernel
 from plane_detector.config import SegmentationConfig
 from plane_detector.segmentation.cells.model import (
+    MAX_DEVIATIONS,
     MAX_JOINT_VARIANCES,
     MEAN_WEIGHT,
     MIN_VARIANCE,
@@ -55,7 +56,6 @@ from plane_detector.segmentation.cells.plane_fit import (
 from plane_detector.segmentation.regions.curved import MAX_RATIO, MIN_NOISE_SHARE, fit_quadric
 from plane_detector.segmentation.regions.model_selection import prefer_two_planes
 from plane_detector.segmentation.regions.region_graph import (
-    MAX_DEVIATIONS,
     NORMAL_SQUARES,
     NORMAL_X,
     NORMAL_Y,

@@ -30,8 +30,6 @@ from plane_detector.segmentation.cells.plane_fit import N, add_moments, fit_plan
 # derived: cells at this distance touch, because a cell that straddles the border may lie between
 # them.
 BORDER_REACH_CELLS = 2
-# chosen: one normal deviate in 370 is larger.
-MAX_DEVIATIONS = 3.0
 # derived: the number of coefficients of a plane; a fit needs more cells than this.
 PLANE_TERMS = 3
 # derived: the columns of RegionGraph.sums behind those of PRODUCTS.

@@ -18,7 +18,12 @@ import numpy as np
 
 from plane_detector.compilation import kernel
 from plane_detector.segmentation.cells.grid import CellGrid
-from plane_detector.segmentation.cells.model import Frame, PlaneRegions, chi_squared
+from plane_detector.segmentation.cells.model import (
+    MAX_DEVIATIONS,
+    Frame,
+    PlaneRegions,
+    chi_squared,
+)
 from plane_detector.segmentation.cells.plane_fit import N, add_moments, fit_plane
 from plane_detector.segmentation.search.dbscan import (
     NEAR,
@@ -36,9 +41,9 @@ from plane_detector.segmentation.search.hypotheses import (
 )
 from plane_detector.stopping import raise_if_stopped
 
-# One draw finds, with the configured confidence, the planes with this share of the free cells.
-# tuned: on rooms, lived-in rooms and real frames; flat from 0.05 to 0.1.
-ROUND_PLANE_SHARE = 0.07
+# One draw finds a plane with this share of the free cells with this probability.
+# tuned: on rooms, lived-in rooms and real frames; flat from 0.05 to 0.1 at a probability of .99.
+ROUND_PLANE_SHARE, CONFIDENCE = 0.07, 0.99
 # What is repeated until it settles: refinements of a plane, estimates of the noise, and hypotheses
 # in a row that refine to nothing.
 # tuned: rooms, lived-in rooms and real frames; flat from 3 to 9, from 2 to 4 and from 2 to 4;
@@ -62,12 +67,13 @@ def add_planes(frame: Frame, regions: PlaneRegions, most: int) -> PlaneRegions:
     are the first of the planes returned.
     """
     raise_if_stopped()
-    cells, ransac, dbscan = frame.cells, frame.config.ransac, frame.config.dbscan
+    cells, dbscan = frame.cells, frame.config.dbscan
+    max_drawn = frame.config.ransac.max_iterations
     labels, first = regions.labels.copy(), len(regions.coefficients)
     places = cell_places(labels.shape, max(int(dbscan.eps), WIDEST_WINDOW_CELLS // 2))
-    wanted = math.ceil(math.log1p(-ransac.confidence) / math.log1p(-ROUND_PLANE_SHARE))
-    counts = first, most, min(max(wanted, 1), ransac.max_iterations), ransac.max_iterations
-    limits = frame.min_pixels, ransac.inlier_threshold**2, frame.rng.random()
+    wanted = math.ceil(math.log1p(-CONFIDENCE) / math.log1p(-ROUND_PLANE_SHARE))
+    counts = first, most, min(wanted, max_drawn), max_drawn
+    limits = frame.min_pixels, MAX_DEVIATIONS**2, frame.rng.random()
     near = neighbour_steps(dbscan.eps, places.shape[1]), dbscan.min_samples
     found = find_planes((cells.table, cells.grid.moments), (places, cells.is_planar), labels, near,
                         counts, limits)

@@ -36,7 +36,7 @@ with quiet_interrupt(), explained_imports('numba', 'scipy'):
     )
     from plane_detector.tools.demo.session import Received, Session
     from plane_detector.tools.files import csv_row, depth_panel, write_ply
-    from plane_detector.tools.show import plane_lines
+    from plane_detector.tools.show import table_lines
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the demo; return the exit code."""
@@ -51,6 +51,12 @@ def _run(options: argparse.Namespace) -> int:
     if lens != Lens() and not options.images:
         raise ValueError('a calibration or a field of view is for your own images: name their '
                          'folder by --images (make demo IMAGES=...)')
+    if options.model not in ('auto', *NETWORKS):
+        if not Path(options.model).expanduser().is_file():
+            raise FileNotFoundError(f'--model {options.model} is neither a file nor one of auto, '
+                                    f'{", ".join(NETWORKS)}')
+        if not options.model_output:
+            raise ValueError('--model-output must state the output of a network file')
     photographs = folder_images(options.images, lens) if options.images else library_images()
     options.output.mkdir(parents=True, exist_ok=True)
     measured = [one for one in photographs if one.true_depth_m is not None]
@@ -68,15 +74,10 @@ def _run(options: argparse.Namespace) -> int:
 
 def _network(options: argparse.Namespace) -> dict[str, str]:
     """Return the parameters for the depth network, and make sure that its file is cached."""
-    model, path = options.model, Path(options.model).expanduser()
-    if model not in ('auto', *NETWORKS):
-        if not path.is_file():
-            raise FileNotFoundError(f'--model {model} is neither a file nor one of auto, '
-                                    f'{", ".join(NETWORKS)}')
-        if not options.model_output:
-            raise ValueError('--model-output must state the output of a network file')
-        return {'depth.model': str(path.absolute()), 'depth.output': options.model_output}
-    network, path, reason, _ = resolve(DepthConfig(model=model))
+    if options.model not in ('auto', *NETWORKS):
+        path = Path(options.model).expanduser().absolute()
+        return {'depth.model': str(path), 'depth.output': options.model_output}
+    network, path, reason, _ = resolve(DepthConfig(model=options.model))
     print(f'\nThrough a depth network: {reason}.\n  {path}\n  {network.output}, {network.summary}')
     if network.name == 'fastdepth':
         print('  It is the smallest one and knows little but floors and large walls indoors. Most '
@@ -114,7 +115,7 @@ def _print(name: str, photograph: Photograph, received: Received) -> None:
     size = photograph.intrinsics
     print(f'\n{name}: {size.width} x {size.height}, fx {size.fx:.0f} px, '
           f'{photograph.calibration}')
-    print('\n'.join(f'  {line}' for line in plane_lines(received.planes)))
+    print('\n'.join(f'  {line}' for line in table_lines(received.planes)))
     if not _legend(received.planes):
         print(f'  (no floor, no walls: the direction of gravity is not known{received.note})')
     if received.unit != 'm':

@@ -17,7 +17,7 @@ from cell_helpers import (
 )
 
 from plane_detector import CameraIntrinsics, segment_planes
-from plane_detector.segmentation.cells.model import PlaneRegions
+from plane_detector.segmentation.cells.model import MAX_DEVIATIONS, PlaneRegions
 from plane_detector.segmentation.cells.noise import Noise
 from plane_detector.segmentation.pixels.labelling import label_more_pixels, label_pixels
 from plane_detector.segmentation.regions.region_graph import RegionGraph
@@ -73,9 +73,9 @@ def test_a_plane_takes_the_pixels_within_their_noise():
     (a, b, c), (v, u) = model.grid.planes_in_pixels(graph.planes)[0], np.indices(depth_m.shape)
     deviations = (np.abs(frame.image.values - (a * u + b * v + c))
                   / frame.noise.variance_floor(frame.image.values) ** 0.5)
-    assert deviations.max() > 2 * frame.threshold
-    is_clear = np.abs(deviations - frame.threshold) > 0.01
-    assert ((labels == 0) == (deviations <= frame.threshold))[is_clear].all()
+    assert deviations.max() > 2 * MAX_DEVIATIONS
+    is_clear = np.abs(deviations - MAX_DEVIATIONS) > 0.01
+    assert ((labels == 0) == (deviations <= MAX_DEVIATIONS))[is_clear].all()
 
 
 def test_pixels_without_valid_neighbours_get_a_label():

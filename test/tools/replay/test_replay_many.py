@@ -97,7 +97,7 @@ def test_one_run_a_second_one_and_one_that_fails(bags, scenes, tmp_path, capsys,
     (bags / 'broken.mcap').unlink()
     (out / 'second').rename(out / '.second.part')  # as a killed run leaves it
     before = (out / 'first' / 'metadata.yaml').stat().st_mtime_ns
-    assert main([str(bags), str(out), '--jobs', '2']) == 0
+    assert main([str(bags), str(out), '--jobs', '1']) == 0
     rows = summary_of(out)
     assert {name: row['state'] for name, row in rows.items()} == {
         'first': 'done before', 'monday_walk': 'done before', 'second': 'finished'}
@@ -163,9 +163,7 @@ def test_after_a_signal_or_a_killed_worker_the_same_command_does_the_rest(bags, 
     assert code == 1
     assert 'a worker ended, at one of' in text
     assert 'Traceback' not in text
-    with start(bags, out) as process:
-        printed = process.communicate()
-    assert process.returncode == 0, printed
+    assert main([str(bags), str(out), '--jobs', '1']) == 0
     for name in ('first', 'second', 'monday_walk'):
         assert_true(out / name, scenes)
     assert not list(out.glob('.*.part'))
