@@ -231,7 +231,7 @@ def compile_kernels(subjects: Iterable[str], log: Callable[[str], None] = lambda
     with _one_process(wanted[0]):
         missing = [one for one in wanted if not one.is_cached]
         if missing:
-            log(f'compiling {what} for this machine, once; this takes about half a minute')
+            log(f'compiling {what} for this machine, once; this takes up to a minute')
             if not _memory_only.is_set():
                 try:
                     _compile_in_processes(missing, log)

@@ -181,7 +181,8 @@ def count_off_level(depth_m, labels, ray_x, ray_y, down, level_m, most_m, count)
 
 
 @kernel(f'Tuple((boolean[:, ::1], float32[:, ::1]))({_DEPTH}, {_LABELS}, {_LINES}, int64, '
-        f'{_RAYS}, {_PLANES}, float32[::1], boolean[::1], int64, float64, float64, float64)')
+        f'{_RAYS}, {_PLANES}, float32[::1], boolean[::1], int64, float64, float64, float64)',
+        subject='ground_pixels')
 def mark_ground(depth_m, labels, lines, ways, ray_x, ray_y, planes, down, is_ground, own,
                 min_height, slope, error):
     """
@@ -273,7 +274,8 @@ def mark_ground(depth_m, labels, lines, ways, ray_x, ray_y, planes, down, is_gro
 
 
 @kernel(f'float64[:, ::1]({_DEPTH}, {_LABELS}, boolean[:, ::1], {_LINES}, int64, {_RAYS}, '
-        f'{_PLANES}, float32[::1], boolean[::1], int64, float64, float64)')
+        f'{_PLANES}, float32[::1], boolean[::1], int64, float64, float64)',
+        subject='ground_pixels')
 def mark_drops(depth_m, labels, ground, lines, ways, ray_x, ray_y, planes, down, is_ground, own,
                min_drop, error):
     """
@@ -423,7 +425,7 @@ def _is_reflection(depth_m, lines, first, last, w, ray_x, ray_y, planes, down, e
     return beyond >= BEYOND_SHARE * seen
 
 
-@kernel('int64[::1](float64[:, ::1])', is_short=True)
+@kernel('int64[::1](float64[:, ::1])', is_short=True, subject='ground_pixels')
 def rows_of(drops):
     """Return the row (N,) of each drop; they are in the order of their ways."""
     rows, count = np.empty(len(drops), np.int64), 0

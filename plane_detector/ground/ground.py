@@ -9,6 +9,7 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
+from plane_detector.compilation import load_once
 from plane_detector.config import Config, GroundConfig
 from plane_detector.directions.gravity_choice import COARSE_DEG, Gravity
 from plane_detector.geometry.disparity import valid_depth
@@ -204,6 +205,7 @@ class SeenGround:
         if self.own < 0:
             return (np.zeros(self.labels.shape, bool),
                     np.full(self.labels.shape, np.nan, np.float32))
+        load_once('ground_pixels')
         return mark_ground(self.depth_m, self.labels, self.ways.lines, self.ways.count,
                            *self.rays, self.table, self.down, self.is_ground, self.own,
                            self.limits.min_height, np.tan(np.radians(self.limits.max_slope)),

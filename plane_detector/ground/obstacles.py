@@ -69,7 +69,8 @@ def _is_flying(depth_m, v, u, dv, du, width, error):
     return True
 
 
-@kernel(f'boolean[:, ::1]({_DEPTH}, {_LABELS}, boolean[:, ::1], float64, float64)')
+@kernel(f'boolean[:, ::1]({_DEPTH}, {_LABELS}, boolean[:, ::1], float64, float64)',
+        subject='ground_pixels')
 def mark_obstacles(depth_m, labels, ground, focal_px, error):
     """Return the pixels (H, W) of obstacles; ``error`` is that of 1/z."""
     height, width = depth_m.shape

@@ -23,6 +23,7 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
+from plane_detector.compilation import compile_kernels
 from plane_detector.dependencies import explanation
 from plane_detector.depth.observation import ModelOrFunction
 from plane_detector.pipeline import PlaneDetector
@@ -58,7 +59,7 @@ from plane_detector.ros.outputs.topics import OUTPUTS, OutputPublishers, frame_t
 from plane_detector.ros.point_query import PointQuery
 from plane_detector.ros.spinning import CannotRunError
 from plane_detector.ros.transitions import Autostart, Transitions
-from plane_detector.stopping import raise_if_stopped
+from plane_detector.stopping import Background, raise_if_stopped
 
 # Time that destroy_node waits for the work to stop.
 _STOP_TIMEOUT_S = 1.0
@@ -320,8 +321,12 @@ class PlaneDetectorNode(LifecycleNode):
             raise_if_stopped()  # two networks at once could exceed the memory
         # The network first: a reason why there is none is known before loops are compiled.
         detector = PlaneDetector(self._live.config, self._depth_model)
-        load_kernels(self._live.config, self.get_logger().info)
+        log = self.get_logger().info
+        load_kernels(self._live.config, log)
         tidy_after_loading()
+        # Planes are published meanwhile; a frame whose obstacles somebody wants waits for it.
+        Background(partial(compile_kernels, ['ground_pixels'], log, 'the loops of ground, '
+                           'obstacles and drops'), 'load_kernels')
         return detector
 
     def _fail(self, reason: str, may_pass: bool = False) -> TransitionCallbackReturn:

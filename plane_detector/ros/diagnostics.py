@@ -21,6 +21,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
+from plane_detector.compilation import are_ready
 from plane_detector.ros.outputs.frame import DetectedFrame
 from plane_detector.ros.outputs.markers import plane_name
 from plane_detector.ros.qos import SILENT_PUBLISHER, overriding_options
@@ -249,8 +250,10 @@ def _facts_of(detection: Detection) -> dict[str, str]:
         facts['smallest_obstacle_m'] = ', '.join(
             f'{height_m:.3f} at {ahead_m:g} m'
             for ahead_m, height_m in zip(OBSTACLE_DISTANCES_M, smallest_m, strict=True))
-    facts['drops'] = (f'not looked for: {detection.drop_note}' if detection.drop_note
-                      else f'{len(detection.drops_m)} points')
+    facts['drops'] = (
+        f'not looked for: {detection.drop_note}' if detection.drop_note else
+        f'{len(detection.drops_m)} points' if are_ready('ground_pixels') else
+        'not counted: their loops are being compiled')
     facts['shapes'] = (f'not searched for: {detection.shape_note}' if detection.shape_note
                        else str(len(detection.shapes)))
     return facts

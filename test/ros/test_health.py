@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 
+from plane_detector.ros import diagnostics
 from plane_detector.ros.diagnostics import (
     DROPS,
     POINTS_WITHOUT_FLOOR,
@@ -104,10 +105,15 @@ def test_each_gap_is_logged_once_and_cleared_when_it_ends():
     assert len(lines) == 2
 
 
-def test_the_facts_are_those_of_the_last_frame():
+def test_the_facts_are_those_of_the_last_frame(monkeypatch):
+    ready = {'ground_pixels'}
+    monkeypatch.setattr(diagnostics, 'are_ready', lambda subject: subject in ready)
     health = Health(SimpleNamespace(warning=lambda _: None, info=lambda _: None))
     health.note(detection((1, 3), probability=0.934), ())
     assert health.facts['gravity_probability'] == '0.93' and health.facts['drops'] == '0 points'
     health.note(detection((1, 3), 'relative', note='the unit is not known'), ())
     assert 'gravity_probability' not in health.facts and 'noise' not in health.facts
     assert health.facts['drops'] == 'not looked for: the unit is not known'
+    ready.clear()
+    health.note(detection((1, 3)), ())
+    assert health.facts['drops'] == 'not counted: their loops are being compiled'

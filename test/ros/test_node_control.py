@@ -296,6 +296,17 @@ def test_planes_are_found_while_the_loops_of_shapes_are_compiled(robot, room, mo
     assert searched == [True]
 
 
+def test_planes_are_found_while_the_loops_of_drops_are_compiled(robot, room, monkeypatch):
+    begun, finished = [], threading.Event()
+    monkeypatch.setattr(detector_node, 'compile_kernels', lambda subjects, *_: (
+        begun.append(subjects), finished.wait(60)))
+    start(robot, lambda rgb: room.depth_m)
+    send(robot, room, 1.0)
+    assert robot.wait_for('planes', 1)[-1].header == header(1.0)
+    assert begun == [['ground_pixels']] and not finished.is_set()
+    finished.set()
+
+
 @pytest.fixture
 def tries(monkeypatch):
     """Let the pipeline be made at the third try only, and return the errors to come."""
