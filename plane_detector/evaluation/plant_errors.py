@@ -100,7 +100,11 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
          'uncertain angles are not refused')),
     'scale/sensor_depth.py': (
         (', -beta / alpha,', ', -beta,', 'shift from measured depth without its scale'),),
+    'scale/temporal_filter.py': (
+        ('inverse)).max()', 'inverse)).min()', 'the change is the least one'),),
     'scale/right_angles.py': (
+        ('coplanar.any(0)', 'coplanar.all(0)', 'pieces of one plane are several'),
+        ('3 * sigma_deg', '3 / sigma_deg', 'the surest planes may be off most'),
         ('middle = -0.5', 'middle = 0.5', 'sign of the shift from right angles'),),
     'scale/disparity_planes.py': (
         ('self.coefficients + [0.0, 0.0, shift]',
@@ -160,9 +164,12 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
         ('self.offsets_m - normals', 'self.offsets_m + normals', 'sign of the translation'),
         ('-translation_m @ rotation', '-translation_m', 'covariance moved without the rotation')),
     'tracking/camera_motion.py': (
+        ('[-normals * typical_m', '[-normals / typical_m', 'translation in the wrong unit'),
         ('left[:, 2] *= -1', 'left[:, 2] *= 1', 'a mirror for a rotation'),
         ('left[:, 2] *= -1', 'left[:, 1] *= -1', 'a mirror mended by another axis')),
     'tracking/matching.py': (
+        ('exp(-apart_m2 / small_m2)', 'exp(-apart_m2 * small_m2)',
+         'large planes are near each other less'),
         ('variance += 2 *', 'variance -= 2 *', 'sign of a mixed covariance'),
         ('after[1][n], before', '-after[1][n], before', 'sign of an offset'),
         ('is_kept = missed <', 'is_kept = missed >', 'missing shapes are forgotten'),
@@ -194,7 +201,10 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
         ('to_map @ covariances[m] @ to_map.T', 'covariances[m]',
          'the covariance of a moved plane in its old frame'),
         ('[:, 3, :3] = -(centre_m', '[:, 3, :3] = (centre_m', 'sign of the arm of a rotation')),
+    'mapping/association.py': (
+        ('+ sizes[new] - both', '+ sizes[new] + both', 'a union with common cells twice'),),
     'mapping/registration.py': (
+        ('way_m / TYPICAL_M', 'way_m * TYPICAL_M', 'drift of the rotation by the wrong distance'),
         ('Prediction(before.lasting, pose, drift, drift',
          'Prediction(RigidTransform.identity(), pose, drift, drift',
          'the correction is not carried on'),),

@@ -58,11 +58,15 @@ def _after(state: ScaleState, measured: ScaleEstimate, config: ScaleConfig) -> S
 
 
 def depth_change(estimate: ScaleEstimate, other: ScaleEstimate) -> float:
-    """Return the largest relative change of depth between two scales, over the span of other."""
+    """
+    Return the largest relative change of depth between two scales, over the span of other.
+
+    Where other was measured, its depth is positive.
+    """
     disparity = np.array(other.span)
     inverse = estimate.scale * disparity + estimate.shift
     other_inverse = other.scale * disparity + other.shift
-    if min(inverse.min(), other_inverse.min()) <= 0:
+    if inverse.min() <= 0:
         return np.inf
     return float(np.expm1(np.abs(np.log(other_inverse / inverse)).max()))
 

@@ -7,6 +7,7 @@ import pytest
 
 from plane_detector.config import MapConfig
 from plane_detector.geometry.rigid_transform import RigidTransform
+from plane_detector.mapping.association import compare
 from plane_detector.mapping.heights import PlaneFrames, heights_of
 from plane_detector.mapping.map_plane import new_axes
 from plane_detector.mapping.registration import (
@@ -75,12 +76,22 @@ def test_the_prior_grows_with_the_way_and_not_with_the_rate_of_images():
         prediction = predict(many, RigidTransform(np.eye(3), k / 10 * end), config)
         many = register(prediction, *corner(), np.zeros(0, int))
     assert once[3, 3] == pytest.approx(0.01**2)
+    assert once[0, 0] == pytest.approx((0.01 / 2) ** 2)  # moves a plane 2 m away as far
     assert many.drift[3, 3] == pytest.approx(once[3, 3])
 
 
 def test_motion_is_distance_and_angle():
     turn = RigidTransform.from_quaternion((0, 0, np.sin(0.1), np.cos(0.1)), (0.3, 0.4, 0))
     assert motion(RigidTransform.identity(), turn) == pytest.approx((0.5, 0.2))
+
+
+def test_what_two_planes_share_is_counted_in_cells():
+    """15 of the 40 cells in view are among the 20 of the found plane, or all 10 of the found."""
+    planes, frames = corner(NORMALS[:1])
+    for common, of_found, shared, overlap in ((15, 20, 15 / 20, 15 / 45), (10, 10, 1, 10 / 40)):
+        pairs = compare(frames, planes, np.array([[common, 40]]), np.array([of_found]),
+                        np.zeros((6, 6)), np.zeros(3))
+        assert (pairs.shared.item(), pairs.overlap.item()) == pytest.approx((shared, overlap))
 
 
 def test_a_plane_is_no_evidence_of_itself():

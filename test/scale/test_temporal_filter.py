@@ -51,6 +51,12 @@ def test_an_outlier_changes_nothing_and_is_reported():
     assert states[2].event == '' and states[2].outliers == ()
 
 
+@pytest.mark.parametrize(('shift', 'change'), [(0.05, '33%'), (-0.15, 'inf%')])
+def test_the_change_is_that_of_the_depth_where_it_changes_most(shift, change):
+    """Of the far end: from .2 to .15 of 1/z, or beyond what is infinitely far."""
+    assert f'change depth by {change}' in run(replace(FLOOR, shift=shift), FLOOR)[1].event
+
+
 def test_a_new_scene_resets_after_frames_that_agree():
     new = farther(FLOOR, 3.0)
     states = run(FLOOR, new, farther(new, 1.1), new)
@@ -77,6 +83,8 @@ def test_an_arbitrary_unit_is_that_of_the_first_frame(factor):
     assert (second.estimate.scale, second.estimate.shift) == pytest.approx(
         (first.estimate.scale, first.estimate.shift))
     assert not second.event
+    other = run(ANGLES, replace(ANGLES, scale=factor, shift=0.18 * factor))[1].estimate
+    assert other.scale * 0.5 + other.shift == pytest.approx(0.35)  # its middle stays there
 
 
 def test_a_better_method_is_taken_at_once():

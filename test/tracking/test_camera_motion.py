@@ -23,7 +23,7 @@ FLOOR, LEFT, BACK, BOX = ([0, -1, 0], 1.4), ([1, 0, 0], 1.5), ([0, 0, -1], 4.0),
 
 def test_motion_of_planes_that_fix_it():
     truth = PlaneMotion(cv2.Rodrigues(np.radians([1.0, 3.0, -2.0]))[0],
-                        np.array([0.02, -0.01, 0.05]), 1.0)
+                        np.array([0.2, -0.1, 0.3]), 1.0)
     before = planes(FLOOR, LEFT, BACK, BOX, ([-1, -1, 0], 2.0))
     motion = estimate_motion(before, truth.move(before), 2 * (np.arange(5),), np.ones(5))
     turn = cv2.Rodrigues(motion.rotation @ truth.rotation.T)[0]

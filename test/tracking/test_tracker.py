@@ -204,6 +204,15 @@ def test_a_plane_that_may_turn_about_its_centroid_is_as_far_there_as_one_that_ma
     assert found == pytest.approx(off**2 / 2 / 0.03**2, rel=0.01)
 
 
+def test_the_nearness_of_centroids_is_by_the_smaller_size():
+    """Planes of 2 and 8 square metres, the centroids 1 m apart."""
+    small, large = (Planes.of([replace(BACK, area_m2=area_m2, centroid_m=np.array([x_m, 0, 4]))])
+                    for area_m2, x_m in ((2.0, 0.0), (8.0, 1.0)))
+    for one, other in ((small, large), (large, small)):
+        nearness = compare(one, other, np.ones(1))[1].item()
+        assert nearness == pytest.approx(np.exp(-1 / 2) * (2 / 8) ** 0.5)
+
+
 def test_a_score_that_is_no_number_pairs_nothing_and_ends():
     score = np.array([[np.nan, 0.2], [0.9, np.nan], [np.nan, np.nan]])
     rows, columns = best_pairs(score)
