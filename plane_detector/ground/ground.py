@@ -236,16 +236,15 @@ class SeenGround:
         is_open = np.isnan(ends[:, 3])
         if not is_open.any():
             return is_open
-        depths = self.depth_m[::4, ::4]
-        x, y = np.meshgrid(self.rays[0][::4], self.rays[1][::4])
+        depths, (x, y) = self.depth_m[::4, ::4], self.rays
         is_valid = valid_depth(depths)
-        z, stretch = depths[is_valid], np.sqrt(x * x + y * y + 1)[is_valid]
+        z, stretch = depths[is_valid], np.sqrt(np.add.outer(y[::4]**2, x[::4]**2) + 1)[is_valid]
         ends_z, ends_range = ends[:, 2], np.linalg.norm(ends[:, :3], axis=1)
         margin = 1 + SIGMAS * self.sigma * ends_z
         for values, last, following in ((z, ends_z, ends[:, 5]),
                                         (z * stretch, ends_range, ends[:, 6])):
             rank = int(RANGE_QUANTILE * (len(values) - 1))
-            at_limit = is_open & (following * margin >= np.partition(values, rank)[rank])
+            at_limit = is_open & (following * margin >= order_statistics(values, rank)[1])
             if (at_limit.sum() >= AT_RANGE_SHARE * is_open.sum()
                     and _is_constant(last[at_limit], following[at_limit], ends[at_limit, 4])):
                 return at_limit

@@ -23,6 +23,8 @@ from plane_detector.planes.region_samples import MIN_COSINE
 from plane_detector.types import CameraIntrinsics, Detection, Planes, Shape
 
 _TOLERANCE_PX = 2.0
+# derived: a smaller part or hole has no shape within the tolerance.
+_SMALLEST_PX2 = _TOLERANCE_PX**2
 
 
 @dataclass(frozen=True)
@@ -87,8 +89,8 @@ def all_polygons(labels: np.ndarray, ends: np.ndarray, intrinsics: CameraIntrins
     Returns
     -------
     tuple of tuple of Polygon
-        Of each plane the largest part first, each followed by its holes. Outlines with fewer than
-        three corners after simplification are dropped.
+        Of each plane the largest part first, each followed by its holes. Outlines of less than
+        4 square pixels, and with fewer than three corners after simplification, are dropped.
 
     Examples
     --------
@@ -288,16 +290,12 @@ def _simple_outlines(mask: np.ndarray, first_pixel: tuple[int, int]
         np.ascontiguousarray(mask).view(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_SIMPLE,
         offset=first_pixel[::-1])
     parents = hierarchy[0, :, 3].tolist()
-    families = {index: [index] for index, parent in enumerate(parents) if parent < 0}
-    for index, parent in enumerate(parents):
-        if parent >= 0:
-            families[parent].append(index)
+    parts = [index if parent < 0 else parent for index, parent in enumerate(parents)]
     areas_px = [cv2.contourArea(contour) for contour in contours]
-    patches = sorted(families, key=lambda index: -areas_px[index])
-    order = [index for patch in patches for index in families[patch]]
+    order = sorted((index for index, area_px in enumerate(areas_px) if area_px >= _SMALLEST_PX2),
+                   key=lambda index: (-areas_px[parts[index]], parts[index], parents[index] >= 0))
     simple = ((cv2.approxPolyDP(contours[index], _TOLERANCE_PX, True).reshape(-1, 2),
-               parents[index] >= 0, areas_px[index])
-              for index in order if len(contours[index]) > 2)
+               parents[index] >= 0, areas_px[index]) for index in order)
     return [outline for outline in simple if len(outline[0]) > 2]
 
 

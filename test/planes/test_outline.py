@@ -56,6 +56,13 @@ def test_polygons_have_holes_and_all_patches_the_largest_first():
     assert corners[2] == {(80, 70), (80, 74), (94, 74), (94, 70)}
 
 
+def test_what_is_smaller_than_the_tolerance_squared_has_no_outline():
+    mask = np.zeros((80, 100), bool)
+    mask[10:60, 10:60] = mask[70:76, 20:26] = True
+    mask[70:78, 80] = mask[77, 80:88] = True  # a pixel wide: no area between its pixels
+    assert [len(corners) for corners in outlines(mask)[0]] == [4, 4]
+
+
 def corners_on(plane, mask, camera):
     """Return where the rays of the corners of pixels meet a plane, (N, 3)."""
     v, u = np.nonzero(mask)

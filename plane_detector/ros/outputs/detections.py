@@ -9,9 +9,8 @@ from typing import Any
 from geometry_msgs.msg import Vector3
 
 from plane_detector.geometry.rigid_transform import quaternions
-from plane_detector.planes.classification import PlaneClass
 from plane_detector.ros.outputs.frame import DetectedFrame
-from plane_detector.ros.outputs.messages import pose_msg
+from plane_detector.ros.outputs.messages import pose_msgs
 
 try:
     from vision_msgs.msg import (
@@ -31,15 +30,16 @@ def detections_to_msg(frame: DetectedFrame) -> Any:
 
     The z axis of the box is the normal. The score is the confidence of the plane.
     """
-    header = frame.target_header
-    found = []
-    for plane, rectangle in zip(frame.planes, frame.rectangles, strict=True):
-        turn, = quaternions(rectangle.rotation[None])
+    header, planes, rectangles = frame.target_header, frame.planes, frame.rectangles
+    turns, found = quaternions(rectangles.rotations), []
+    for plane, rectangle, place, middle in zip(
+            planes, rectangles, pose_msgs(planes.centroids_m, turns),
+            pose_msgs(rectangles.centres_m, turns), strict=True):
         hypothesis = ObjectHypothesisWithPose(hypothesis=ObjectHypothesis(
-            class_id=PlaneClass(plane.plane_class).readable, score=float(plane.confidence)))
-        hypothesis.pose.pose = pose_msg(plane.centroid_m, turn)
+            class_id=plane.plane_class.readable, score=plane.confidence))
+        hypothesis.pose.pose = place
         found.append(Detection3D(
             header=header, id=str(plane.label), results=[hypothesis],
-            bbox=BoundingBox3D(center=pose_msg(rectangle.centre_m, turn), size=Vector3(
-                x=float(rectangle.width_m), y=float(rectangle.height_m), z=0.0))))
+            bbox=BoundingBox3D(center=middle, size=Vector3(
+                x=rectangle.width_m, y=rectangle.height_m, z=0.0))))
     return Detection3DArray(header=header, detections=found)

@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from geometry_msgs.msg import Point, Vector3
+from geometry_msgs.msg import Vector3
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
@@ -22,7 +22,7 @@ from plane_detector.ros.outputs.clouds import (
     fill_plane_table,
 )
 from plane_detector.ros.outputs.frame import MapView
-from plane_detector.ros.outputs.messages import cloud_msg
+from plane_detector.ros.outputs.messages import cloud_msg, point_msgs
 
 MAP_PLANE_DTYPE = np.dtype([
     *((name, PLANE_DTYPE[name]) for name in PLANE_DTYPE.names),
@@ -73,8 +73,7 @@ def _surfaces(view: MapView) -> Iterator[Marker]:
         yield Marker(
             header=view.header, ns='map', id=plane.label, type=Marker.TRIANGLE_LIST,
             scale=Vector3(x=1.0, y=1.0, z=1.0), color=ColorRGBA(r=red, g=green, b=blue, a=_ALPHA),
-            points=[Point(x=x_m, y=y_m, z=z_m) for x_m, y_m, z_m in
-                    view.snapshot.to_poses.points(_triangles(plane)).tolist()])
+            points=point_msgs(view.snapshot.to_poses.points(_triangles(plane))))
 
 
 def _triangles(plane: MapPlane) -> np.ndarray:

@@ -9,9 +9,8 @@ the image. Labels in messages are above 0; 0 is no plane.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import cache
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import cv2
 import numpy as np
@@ -49,30 +48,36 @@ def pixel_labels(detection: Detection) -> np.ndarray:
     return labels
 
 
+def assembled(kind: type, **slots: Any) -> Any:
+    """Return a message of all its slots; a constructor makes a default of each one before."""
+    msg = kind.__new__(kind)
+    msg._check_fields = False
+    for name, value in slots.items():
+        setattr(msg, name, value)
+    return msg
+
+
 def poses_to_msg(header: Header, planes: Planes) -> PoseArray:
     """Return the pose of each plane: its centroid, z along the normal."""
-    return PoseArray(header=header, poses=[
-        Pose(position=position, orientation=Quaternion(x=x, y=y, z=z, w=w))
-        for position, (x, y, z, w) in zip(point_msgs(planes.centroids_m),
-                                          plane_quaternions(planes).tolist(), strict=True)])
+    return PoseArray(header=header,
+                     poses=pose_msgs(planes.centroids_m, plane_quaternions(planes)))
+
+
+def pose_msgs(points_m: np.ndarray, rotations: np.ndarray) -> list[Pose]:
+    """Return poses as messages from their points (N, 3) and their quaternions (N, 4), x y z w."""
+    return [assembled(Pose, _position=point,
+                      _orientation=assembled(Quaternion, _x=x, _y=y, _z=z, _w=w))
+            for point, (x, y, z, w) in zip(point_msgs(points_m), rotations.tolist(), strict=True)]
 
 
 def point_msgs(points_m: np.ndarray) -> list[Point]:
     """Return points (N, 3) as messages."""
     points = []
     for x_m, y_m, z_m in np.asarray(points_m).tolist():
-        point = Point.__new__(Point)  # its constructor takes three times as long
+        point = Point.__new__(Point)  # as `assembled`, for there are many
         point._x, point._y, point._z, point._check_fields = x_m, y_m, z_m, False
         points.append(point)
     return points
-
-
-def pose_msg(position_m: np.ndarray, quaternion: Sequence[float] = (0.0, 0.0, 0.0, 1.0)) -> Pose:
-    """Return a pose from its position (3,) and its orientation x y z w."""
-    x_m, y_m, z_m = map(float, position_m)
-    qx, qy, qz, qw = map(float, quaternion)
-    return Pose(position=Point(x=x_m, y=y_m, z=z_m),
-                orientation=Quaternion(x=qx, y=qy, z=qz, w=qw))
 
 
 def plane_quaternions(planes: Planes) -> np.ndarray:
