@@ -34,6 +34,7 @@ import numpy as np
 
 from plane_detector.compilation import kernel
 from plane_detector.directions.line_segments import LineSegments
+from plane_detector.geometry.rigid_transform import cross, unit
 from plane_detector.types import CameraIntrinsics
 
 # Values said to be tuned are so on the views of python -m plane_detector.evaluation.benchmark
@@ -118,7 +119,6 @@ CLOSE_DEG = 5.0
 # Errors beyond three standard deviations do not count.
 MOST_VARIANCES = 9.0
 UPRIGHT, AHEAD = np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0])
-_NEXT = np.array([1, 2, 0])
 # Keeps the direction of a line defined where it passes through the vanishing point. chosen: the
 # square of two degrees.
 MIN_IMAGE_LENGTH2 = 1e-3
@@ -608,13 +608,3 @@ def _bell(square):
 def _near(cross, x, y, spread):
     """Return how near a line points to a direction, 1 exactly, by the image of that direction."""
     return _bell(cross * cross / ((x * x + y * y + MIN_IMAGE_LENGTH2) * spread))
-
-
-def unit(vector: np.ndarray) -> np.ndarray:
-    """Return a vector (3,) of length 1."""
-    return vector / np.linalg.norm(vector)
-
-
-def cross(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Return the cross product (..., 3), in a sixth of the time of numpy's."""
-    return (first * second.take(_NEXT, -1) - first.take(_NEXT, -1) * second).take(_NEXT, -1)

@@ -22,8 +22,9 @@ import cv2
 import numpy as np
 
 from plane_detector.directions.line_segments import LineSegments
-from plane_detector.directions.posterior import Expected, cross
+from plane_detector.directions.posterior import Expected
 from plane_detector.directions.vanishing import SceneDirections
+from plane_detector.geometry.rigid_transform import cross
 
 # Largest motion of a matched segment's midpoint at unit focal length, and sine of its rotation.
 # chosen: 50 pixels of 525, and 6 degrees, beyond the motion of a hand within a tenth of a second.

@@ -31,14 +31,13 @@ from plane_detector.directions.posterior import (
     Expected,
     Modes,
     collect_evidence,
-    cross,
     is_held,
     log_likelihood,
     log_prior_density,
     turn_between,
-    unit,
     upright_posterior,
 )
+from plane_detector.geometry.rigid_transform import cross, unit
 
 # An answer is given if it is right with this probability.
 MIN_PROBABILITY = 0.9

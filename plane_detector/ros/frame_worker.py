@@ -234,8 +234,17 @@ class FrameFlow:
         self.worker = FrameWorker(self._begin, overlaps=processor.has_network)
 
     def accept(self, frame: Frame) -> None:
-        """Pass a frame to the worker if it is wanted; called in the executor's thread."""
-        if self._is_wanted() and self.worker.put((self._records.requests.accept(), frame)):
+        """
+        Pass a frame to the worker if it is requested, or all are and an output has subscribers.
+
+        Called in the thread of the executor.
+        """
+        requests = self._records.requests
+        is_requested = requests.are_waiting or self._query.is_waiting
+        if not is_requested and (self._live.settings.mode != 'continuous' or (
+                self._map is None and not self._outputs.wanted())):
+            return
+        if self.worker.put((requests.accept(), frame)):
             self._records.statistics.add_dropped(1)
 
     def drop(self) -> None:
@@ -248,13 +257,6 @@ class FrameFlow:
         """Drop all frames, release the network, and return at once."""
         self.worker.stop()
         self._processor = None
-
-    def _is_wanted(self) -> bool:
-        """Whether the next frame is requested, or all are and an output has subscribers."""
-        if self._records.requests.are_waiting or self._query.is_waiting:
-            return True
-        return self._live.settings.mode == 'continuous' and (
-            self._map is not None or bool(self._outputs.wanted()))
 
     def _begin(self, numbered: tuple[int, Frame]) -> Callable[[], None]:
         """Do the first half of the work on a frame; return a function that does the second."""

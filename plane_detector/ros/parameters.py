@@ -192,11 +192,13 @@ def _field_value(field: Field, value: Any) -> Any:
 
 
 def _replaced(settings: AnySettings, values: dict[str, Any], prefix: str) -> AnySettings:
+    """Return the settings with some values by their names; the same object without any of them."""
     changes = {}
     for field in fields(settings):
         name, old = prefix + field.name, getattr(settings, field.name)
         if isinstance(old, Settings):
-            changes[field.name] = _replaced(old, values, f'{name}.')
+            new = _replaced(old, values, f'{name}.')
+            changes |= {} if new is old else {field.name: new}
         elif name in values:
             changes[field.name] = _field_value(field, _as_float(old, values[name]))
-    return replace(settings, **changes)
+    return replace(settings, **changes) if changes else settings

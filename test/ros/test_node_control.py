@@ -9,11 +9,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import yaml
 from diagnostic_msgs.msg import DiagnosticStatus
 from lifecycle_msgs.msg import Transition
 from node_helpers import CAMERA, assert_true_to, change_state, send, start
 from rcl_interfaces.srv import SetParameters
-from rclpy.parameter import Parameter
+from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from ros_helpers import Robot, camera_info_msg, cloud_array, header, image_array, image_msg
 from sensor_msgs.msg import Image, Imu
@@ -23,6 +24,7 @@ from plane_detector.depth.networks import NETWORKS
 from plane_detector.depth.observation import DepthFunction
 from plane_detector.planes.classification import PlaneClass
 from plane_detector.ros import detector_node, live_settings, transitions
+from plane_detector.ros.detector_node import PlaneDetectorNode
 from plane_detector.ros.diagnostics import Report, introduction, large_image, slow_network
 from plane_detector.shapes import detector
 
@@ -134,6 +136,33 @@ def test_impossible_changes_are_refused_and_change_nothing(robot, name, value, r
     assert node.get_parameter(name).value == before
     assert change_state(robot, Transition.TRANSITION_DEACTIVATE)
     assert not node.set_parameters([Parameter(name, value=value)])[0].successful
+
+
+def test_dumped_parameters_start_the_same_node(robot, tmp_path):
+    """What ros2 param dump writes: the parameters nested by the points in their names."""
+    def active(**options):
+        node = PlaneDetectorNode(lambda rgb: None, context=robot.context, **options)
+        robot.add(node)
+        assert robot.spin(lambda: node.state == 'active')
+        return {name: parameter_value_to_python(node.get_parameter(name).get_parameter_value())
+                for name in node.list_parameters([], 0).names}
+
+    values = active() | {'segmentation.max_planes': 5, 'depth.source': 'topic'}
+    dumped = tmp_path / 'dumped.yaml'
+    dumped.write_text(yaml.safe_dump({'/plane_detector': {'ros__parameters': nested(values)}}))
+    again = active(cli_args=['--ros-args', '--params-file', str(dumped)])
+    assert {name: again[name] for name in values} == values
+
+
+def nested(values):
+    tree = {}
+    for name, value in values.items():
+        *groups, leaf = name.split('.')
+        node = tree
+        for group in groups:
+            node = node.setdefault(group, {})
+        node[leaf] = list(value) if isinstance(value, (list, tuple)) else value
+    return tree
 
 
 def test_configuring_fails_with_the_reason_and_can_be_tried_again(robot, tmp_path, monkeypatch):

@@ -8,11 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 from node_helpers import assert_true_to
 from onnx_models import millimetres_as_rgb, network_arguments, write_depth_network
-from rcl_interfaces.srv import GetParameters
-from rclpy.parameter import parameter_value_to_python
 from ros_helpers import (
     STARTED_S,
     NodeProcess,
@@ -25,7 +22,6 @@ from ros_helpers import (
 )
 
 from plane_detector.evaluation.scenes.rooms import random_room
-from plane_detector.ros.detector_node import PlaneDetectorNode
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -122,41 +118,3 @@ def test_an_impossible_argument_ends_the_start_with_the_reason(start):
         assert node.process.wait(STARTED_S) == 1, reason
         assert reason in node.log()
         assert 'Traceback' not in node.log()
-
-
-def test_dumped_parameters_start_the_same_node(start, domain, tmp_path):
-    """What ros2 param dump writes: the parameters nested by the points in their names."""
-    robot = Robot(outputs=(), domain=domain)
-    first = PlaneDetectorNode(lambda rgb: None, context=robot.context)
-    robot.add(first)
-    assert robot.spin(lambda: first.state == 'active')
-    values = {name: parameter_value_to_python(first.get_parameter(name).get_parameter_value())
-              for name in first.list_parameters([], 0).names}
-    values['segmentation.max_planes'] = 5
-    values['depth.source'] = 'topic'
-    robot.shutdown()
-    dumped = tmp_path / 'dumped.yaml'
-    dumped.write_text(yaml.safe_dump({'/plane_detector': {'ros__parameters': nested(values)}}))
-
-    node = start('--params-file', str(dumped))
-    robot = Robot(outputs=(), domain=domain)
-    try:
-        assert robot.spin(lambda: diagnosis(robot, node)[1]['state'] == 'active')
-        request = GetParameters.Request(names=list(values))
-        answer = robot.call(GetParameters, 'plane_detector/get_parameters', request)
-        again = {name: parameter_value_to_python(value)
-                 for name, value in zip(values, answer.values, strict=True)}
-        assert again == values
-    finally:
-        robot.shutdown()
-
-
-def nested(values):
-    tree = {}
-    for name, value in values.items():
-        *groups, leaf = name.split('.')
-        node = tree
-        for group in groups:
-            node = node.setdefault(group, {})
-        node[leaf] = list(value) if isinstance(value, (list, tuple)) else value
-    return tree
