@@ -173,36 +173,32 @@ def labels_of_found(labels: np.ndarray, missed: np.ndarray, match: np.ndarray,
     return np.array([labels[k] if k >= 0 else next(free) for k in match.tolist()], np.int64), gone
 
 
-def best_pairs(score: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def matched(score: np.ndarray, least: float) -> np.ndarray:
     """
-    Return rows and columns, one to one, with the largest sum of scores.
+    Return which known thing each found one is, one to one with the largest sum of scores.
 
     Parameters
     ----------
-    score : (N, M) float64
+    score : (T, N) float64
         NaN counts as no likeness, 0.
+    least : float
+        Pairs with this score, or less, are not the same.
 
     Returns
     -------
-    rows, columns : (min(N, M),) int64
-        Ordered by the rows.
+    (N,) int64
+        -1 for none.
 
     Examples
     --------
-    >>> rows, columns = best_pairs(np.array([[0.9, 0.8], [0.7, 0.1]]))
-    >>> rows.tolist(), columns.tolist()
-    ([0, 1], [1, 0])
+    >>> matched(np.array([[0.9, 0.8, 0.0], [0.7, 0.1, 0.0]]), 0.0)
+    array([ 1,  0, -1])
 
     """
-    from scipy.optimize import linear_sum_assignment  # imported late: it takes a tenth of a second
-    return linear_sum_assignment(np.nan_to_num(score), maximize=True)
-
-
-def matched(score: np.ndarray, least: float) -> np.ndarray:
-    """Return which known thing each found one (N,) is, by scores (T, N) above a least; -1 none."""
     match = np.full(score.shape[1], -1)
     if score.size:
-        rows, columns = best_pairs(score)
+        from scipy.optimize import linear_sum_assignment  # late: it takes a tenth of a second
+        rows, columns = linear_sum_assignment(np.nan_to_num(score), maximize=True)
         is_alike = score[rows, columns] > least
         match[columns[is_alike]] = rows[is_alike]
     return match

@@ -110,7 +110,9 @@ def update_tracks(known: KnownPlanes, found: PlaneSegmentation, config: Tracking
     overlap = measure_overlap(known.pixels, known.sizes, image, sizes)
     moved = _moved_along(known, after, sizes, overlap)
     deviation2, nearness = compare(moved, after, 1 + known.missed)
-    match = _match(known, likeness(nearness, overlap, deviation2))
+    score = likeness(nearness, overlap, deviation2)
+    trust = (1 - _YOUTH / known.streaks) * np.where(known.missed > 0, _MISSED, 1.0)
+    match = matched(np.where(score < _MIN_SCORE, 0, score) * trust[:, None], 0.0)
     labels, gone = labels_of_found(moved.labels, known.missed, match, config.keep_frames)
     # The last is for planes that were not known.
     streaks = np.append(np.where(known.missed == 0, known.streaks, 0), 0)[match] + 1
@@ -136,12 +138,6 @@ def _moved_along(known: KnownPlanes, after: Planes, sizes: np.ndarray,
                 & (known.planes.normals @ after.normals.T > _MOTION_MIN_COSINE)).nonzero()
     weights = share[old, new] * np.sqrt(sizes[new])
     return estimate_motion(known.planes, after, (old, new), weights).move(known.planes)
-
-
-def _match(known: KnownPlanes, score: np.ndarray) -> np.ndarray:
-    """Return which known plane each found one (N,) is, by scores (T, N); -1 none."""
-    trust = (1 - _YOUTH / known.streaks) * np.where(known.missed > 0, _MISSED, 1.0)
-    return matched(np.where(score < _MIN_SCORE, 0, score) * trust[:, None], 0.0)
 
 
 def _merged_labels(known: KnownPlanes, match: np.ndarray, overlap: Overlap,

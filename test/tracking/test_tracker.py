@@ -13,7 +13,7 @@ from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.evaluation.scenes.rooms import box, camera_rotation, render
 from plane_detector.pipeline import segment_planes
 from plane_detector.tracking.camera_motion import PlaneMotion
-from plane_detector.tracking.matching import best_pairs, compare
+from plane_detector.tracking.matching import compare, matched
 from plane_detector.tracking.tracker import PlaneTracker
 from plane_detector.types import CameraIntrinsics, Plane, Planes, PlaneSegmentation
 
@@ -215,6 +215,5 @@ def test_the_nearness_of_centroids_is_by_the_smaller_size():
 
 def test_a_score_that_is_no_number_pairs_nothing_and_ends():
     score = np.array([[np.nan, 0.2], [0.9, np.nan], [np.nan, np.nan]])
-    rows, columns = best_pairs(score)
-    assert (rows.tolist(), columns.tolist()) == ([0, 1], [1, 0])
-    assert len(best_pairs(np.full((3, 4), np.nan))[0]) == 3
+    assert matched(score, 0.0).tolist() == [1, 0]
+    assert matched(np.full((3, 4), np.nan), 0.0).tolist() == [-1] * 4

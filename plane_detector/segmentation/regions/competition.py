@@ -35,7 +35,7 @@ from plane_detector.segmentation.cells.model import (
     residual,
 )
 from plane_detector.segmentation.cells.noise_correlation import MIN_REGION_CELLS, Correlation
-from plane_detector.segmentation.search.dbscan import clusters_and_cells, label_clusters
+from plane_detector.segmentation.search.dbscan import label_clusters
 from plane_detector.segmentation.search.ransac import MAX_TRIALS
 
 # Cost of no plane, in squared thresholds.
@@ -67,8 +67,8 @@ def compete_for_cells(frame: Frame, regions: PlaneRegions) -> PlaneRegions:
         return regions
     labels = _compete(regions.labels, at_borders(regions.labels, 1),
                       (regions.coefficients, frame.cells.table), MAX_DEVIATIONS**2)
-    clusters, count = label_clusters(labels, frame.config.dbscan)
-    return fit_regions(frame.cells, clusters, count, frame.min_pixels)
+    clusters, _, starts = label_clusters(labels, frame.config.dbscan)
+    return fit_regions(frame.cells, clusters, len(starts) - 1, frame.min_pixels)
 
 
 @kernel('int32[:, ::1](int32[:, ::1], boolean[:, ::1], UniTuple(float64[:, ::1], 2), float64)')
@@ -136,6 +136,8 @@ def reassign_cells(frame: Frame, regions: PlaneRegions,
     """
     Reassign the cells of regions to the planes of their neighbours, and refit the planes.
 
+    The energy of the labels is lowered by single cells and by connected pieces, in turn.
+
     Parameters
     ----------
     frame : Frame
@@ -157,20 +159,14 @@ def reassign_cells(frame: Frame, regions: PlaneRegions,
     variance = 2 * (table[0, 0] - table[0, 1])  # of the difference between neighbours
     weights = (table[0, 0] / correlation.density,
                POTTS_WEIGHT / PAIRS_PER_CELL, 1 / (PAIRS_PER_CELL * variance))
-    labels = _reassign(np.ascontiguousarray(regions.labels),
-                       (regions.coefficients, cells.table, cells.is_planar), weights)
-    return fit_regions(cells, labels, count, frame.min_pixels)
-
-
-def _reassign(given: np.ndarray, model: tuple, weights: tuple) -> np.ndarray:
-    """Lower the energy of labels by single cells and by pieces, in turn; return the labels."""
-    labels, single = given.copy(), np.arange(given.size, dtype=np.int32).reshape(given.shape)
+    model, labels = (regions.coefficients, cells.table, cells.is_planar), regions.labels.copy()
+    single = np.arange(labels.size, dtype=np.int32).reshape(labels.shape)
     for _ in range(MAX_TRIALS):
-        cells = np.flatnonzero(at_borders(labels, 1)).astype(np.int32)
-        _improve(labels, (single, cells, np.arange(len(cells) + 1)), model, weights)
-        if not _improve(labels, clusters_and_cells(labels, CONNECTED), model, weights):
+        changed = np.flatnonzero(at_borders(labels, 1)).astype(np.int32)
+        _improve(labels, (single, changed, np.arange(len(changed) + 1)), model, weights)
+        if not _improve(labels, label_clusters(labels, CONNECTED), model, weights):
             break
-    return labels
+    return fit_regions(cells, labels, count, frame.min_pixels)
 
 
 @kernel('boolean(int32[:, ::1], Tuple((int32[:, ::1], int32[::1], int64[::1])), '

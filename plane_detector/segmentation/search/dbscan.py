@@ -43,7 +43,8 @@ def neighbour_steps(eps: float, stride: int) -> np.ndarray:
     return np.array([i * stride + j for i in reach for j in reach if i * i + j * j <= eps**2])
 
 
-def label_clusters(labels: np.ndarray, dbscan: DbscanConfig) -> tuple[np.ndarray, int]:
+def label_clusters(labels: np.ndarray, dbscan: DbscanConfig
+                   ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """
     Cluster the cells of each label separately.
 
@@ -57,15 +58,12 @@ def label_clusters(labels: np.ndarray, dbscan: DbscanConfig) -> tuple[np.ndarray
     -------
     clusters : (R, C) int32
         Cluster of each cell, -1 for noise and where there is no label; no cluster has two labels.
-    count : int
+    cells : (N,) int32
+        Cells of the clusters, one cluster after the other.
+    starts : (K + 1,) int64
+        Where each begins in ``cells``, and the end.
 
     """
-    clusters, _, starts = clusters_and_cells(labels, dbscan)
-    return clusters, len(starts) - 1
-
-
-def clusters_and_cells(labels: np.ndarray, dbscan: DbscanConfig) -> tuple[np.ndarray, ...]:
-    """Return clusters as label_clusters does, their cells cluster by cluster, and each start."""
     (rows, columns), margin = labels.shape, int(dbscan.eps)
     wide = with_margin(labels.astype(np.int16), margin)
     near = neighbour_steps(dbscan.eps, wide.shape[1]), dbscan.min_samples
