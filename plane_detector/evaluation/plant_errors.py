@@ -86,6 +86,8 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
         ('in (0, len(SHIFT_SHARES) // 2, len(SHIFT_SHARES) - 1)', 'in (len(SHIFT_SHARES) // 2,)',
          'a shift at the end of its range is taken')),
     'planes/classification.py': (
+        ('UPRIGHT_SHARE / np.pi', 'UPRIGHT_SHARE * np.pi', 'too many planes are upright before'),
+        ('<= -np.cos(np.radians(TOL', '<= -np.sin(np.radians(TOL', 'slopes are level'),
         ('facing_down >= level', 'facing_down <= -level', 'floor and ceiling swapped'),
         ('(facing_down) <= upright', '(facing_down) <= level', 'sine and cosine swapped')),
     'scale/floor.py': (
@@ -104,6 +106,8 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
         ('inverse)).max()', 'inverse)).min()', 'the change is the least one'),),
     'scale/right_angles.py': (
         ('coplanar.any(0)', 'coplanar.all(0)', 'pieces of one plane are several'),
+        ('middle - reach, middle', 'middle + reach, middle', 'one of two shifts of a pair'),
+        ('1.0 - 0.5 * (off', '1.0 + 0.5 * (off', 'planes off their axes count more'),
         ('3 * sigma_deg', '3 / sigma_deg', 'the surest planes may be off most'),
         ('middle = -0.5', 'middle = 0.5', 'sign of the shift from right angles'),),
     'scale/disparity_planes.py': (

@@ -94,7 +94,7 @@ def find_perpendicular_axes(planes: DisparityPlanes, lowest_disparity: float,
     if len(planes) < MIN_DISTINCT_PLANES or not len(tau):
         return _refused('fewer than three planes, or none of them can be perpendicular')
     shifts = _score(planes, tau, axes)
-    best, sigma = _refined(planes, shifts.take([_votes(shifts).argmax()]), -lowest_disparity)
+    best, sigma = _refined(planes, shifts.take([_votes(shifts).argmax()]))
     objection = _objection(planes, best, shifts, sigma)
     if objection:
         return _refused(objection)
@@ -159,10 +159,8 @@ def _votes(scored: _ScoredShifts) -> np.ndarray:
     return (scored.along.max(2) * scored.weight).sum(1)
 
 
-def _refined(planes: DisparityPlanes, best: _ScoredShifts,
-             lowest_tau: float) -> tuple[_ScoredShifts, float]:
+def _refined(planes: DisparityPlanes, best: _ScoredShifts) -> tuple[_ScoredShifts, float]:
     """Fit a shift to the planes along its axes, which turn with them; with its sigma."""
-    start = best
     for _ in range(ROUNDS):
         raw, sigma_deg = _normals(planes, best.tau)
         length, normals = np.linalg.norm(raw[0], axis=1)[:, None], unit_vectors(raw[0])
@@ -183,7 +181,7 @@ def _refined(planes: DisparityPlanes, best: _ScoredShifts,
         axes = axes @ cv2.Rodrigues(step[1:])[0].T
         best = _score(planes, tau, axes[None])
     variance = np.linalg.pinv(design.T @ design, rcond=1e-12)[0, 0]
-    return (best if tau > lowest_tau else start), float(reach * np.sqrt(variance))
+    return best, float(reach * np.sqrt(variance))
 
 
 def _turn_deg(planes: DisparityPlanes, tau: np.ndarray, other: np.ndarray) -> np.ndarray:

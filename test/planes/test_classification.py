@@ -18,7 +18,11 @@ from plane_detector.geometry.gravity import (
 )
 from plane_detector.ground.ground import find_ground
 from plane_detector.planes.classification import (
+    LEVEL_SHARE,
+    TOLERANCE_DEG,
+    UPRIGHT_SHARE,
     PlaneClass,
+    _probabilities,
     classify_planes,
     lowest_level,
     refine_gravity,
@@ -45,6 +49,7 @@ def test_each_kind_of_plane():
         PlaneClass.WALL, PlaneClass.OTHER_HORIZONTAL, PlaneClass.OTHER_HORIZONTAL,
         PlaneClass.CEILING, PlaneClass.OTHER_HORIZONTAL, PlaneClass.OTHER, PlaneClass.WALL]
     assert lowest_level(planes, DOWN).offset_m == FLOOR.offset_m
+    assert lowest_level(Planes.of((FLOOR, plane([1, -1, 0], 3.0))), DOWN).offset_m == 1.5
 
 
 def test_the_tolerance_is_inclusive_and_no_more():
@@ -60,6 +65,23 @@ def test_a_class_needs_a_normal_that_is_known_well_enough(one, sigma_deg, is_kno
     covariance = np.diag([1.0, 1.0, 1.0, 0.0]) * np.radians(sigma_deg) ** 2
     kind, = classify_planes(Planes.of([replace(one, covariance=covariance)]), DOWN)
     assert (kind == PlaneClass.OTHER) is not is_known
+
+
+def test_the_probability_of_a_class_is_calibrated():
+    """Upright, level and any planes in the shares of the module, with normals 8 degrees off."""
+    count, sigma_rad, rng = 4000, np.radians(8.0), np.random.default_rng(0)
+    normals = rng.standard_normal((count, 3))
+    kind = rng.choice(3, count, p=[UPRIGHT_SHARE, LEVEL_SHARE, 1 - UPRIGHT_SHARE - LEVEL_SHARE])
+    normals[kind == 0, 1], normals[kind == 1] = 0.0, DOWN
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    seen = normals + sigma_rad * rng.standard_normal((count, 3))
+    seen /= np.linalg.norm(seen, axis=1, keepdims=True)
+    stated = _probabilities(seen, np.tile(sigma_rad**2 * np.eye(3), (count, 1, 1)), DOWN,
+                            np.radians(TOLERANCE_DEG))
+    for along in ([0, 2], [1]):  # horizontal normals, vertical ones
+        found, true = (np.linalg.norm(one[:, along], axis=1) >= np.cos(np.radians(TOLERANCE_DEG))
+                       for one in (seen, normals))
+        assert stated[found].mean() == pytest.approx(true[found].mean(), abs=0.015)
 
 
 @pytest.mark.parametrize(('certainty', 'is_known'), [(0.89, False), (0.91, True)])

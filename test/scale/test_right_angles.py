@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Perpendicular axes of a few exact planes in a disparity of unknown shift."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -96,3 +98,23 @@ def test_a_bay_of_a_low_camera_is_refused():
     bay = [(np.array([x, 0, -1]) / np.hypot(x, 1), 2.0, 0.3) for x in (-(3**0.5), 3**0.5)]
     bay += [(np.array([0, 0, -1.0]), 2.5, 0.1), (np.array([0, -1.0, 0]), 0.1, 0.3)]
     assert 'another shift' in find(*bay).refusal
+
+
+def test_of_two_shifts_that_fit_alike_none_is_taken():
+    """A low camera that looks up: a pair of floor and wall fits a smaller and a larger shift."""
+    up = cv2.Rodrigues(np.radians([-12.0, 0.0, 0.0]))[0]
+    down, ahead = up @ [0, 1, 0], up @ [0, 0, 1]
+    found = find((-down, 0.3, 0.4), (-ahead, 4.0, 0.4), (-ahead, 3.0, 0.2))
+    assert 'another shift' in found.refusal
+
+
+def test_small_errors_of_many_planes_leave_an_answer():
+    """Proposals that leave planes off their axes count less."""
+    exact = planes(*ROOM, (FLOOR, 2.5, 0.1), (LEFT, 1.0, 0.1), (-LEFT, 3.0, 0.1),
+                   covariances=np.tile(0.003**2 * np.eye(3), (6, 1, 1)))
+    for seed in range(20):
+        error = 0.003 * np.random.default_rng(seed).standard_normal((6, 3))
+        given = replace(exact, coefficients=exact.coefficients + error)
+        found = find_perpendicular_axes(given, LOWEST)
+        assert found.refusal == ''
+        assert found.axes[0] @ AXES[0] > np.cos(np.radians(1.0))
