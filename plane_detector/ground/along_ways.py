@@ -57,6 +57,12 @@ def _line(lines, i):
             lines[i, 6], lines[i, 7], lines[i, 8], lines[i, 9])
 
 
+@kernel(f'int64({_LINES}, int64, int64)')
+def _position(lines, i, w):
+    """Return where on a line a way is."""
+    return min(max((lines[i, 4] + w * lines[i, 5]) >> FRACTION_BITS, lines[i, 8]), lines[i, 9] - 1)
+
+
 @kernel('float32(float32[:, ::1], int64, float32, float32)')
 def _depth_on(planes, k, x, y):
     """Return the depth at which a ray meets a plane; negative or infinite if it does not."""
@@ -194,7 +200,7 @@ def mark_ground(depth_m, labels, lines, ways, ray_x, ray_y, planes, down, is_gro
     that of 1/z. The height is NaN where depth is not valid.
     """
     height, width = depth_m.shape
-    ground, heights = np.empty(height * width, np.bool_), np.empty(height * width, np.float32)
+    ground, heights = np.zeros(height * width, np.bool_), np.empty(height * width, np.float32)
     depths, regions = depth_m.reshape(-1), labels.reshape(-1)
     reference = np.full(ways, own, np.int32)
     low_m, foot, error = np.float32(min_height), np.float32(FOOT_M), np.float32(error)
@@ -210,19 +216,19 @@ def mark_ground(depth_m, labels, lines, ways, ray_x, ray_y, planes, down, is_gro
     count = np.uint32(len(is_ground) - 1)
     dx, dy = ray_x[min(1, width - 1)] - ray_x[0], ray_y[min(1, height - 1)] - ray_y[0]
     for i in range(len(lines)):
-        u0, v0, du, dv, start, step, w, _, low, high = _line(lines, i)
-        following = start + (w + 1) * step
+        u0, v0, du, dv, start, step, first, _, low, high = _line(lines, i)
+        per_step = 1.0 / step
         origin, stride = v0 * width + u0, dv * width + du
         x0, x_step, y0, y_step = ray_x[u0], du * dx, ray_y[v0], dv * dy
         last, slant, s0, d = np.int64(-1), zero, zero, zero
         for at in range(low, high):
-            while following >> FRACTION_BITS <= at:
-                w += 1
-                following += step
+            # The last way that is not behind this position: exact, as positions are integers.
+            w = np.uint64(max(first, np.int64((((at + 1) << FRACTION_BITS) - 0.5 - start)
+                                              * per_step)))
             p = np.uint64(origin + stride * at)
             z, k = depths[p], np.uint32(regions[p])
             if not nearest <= z < endless:
-                heights[p], ground[p] = np.nan, False
+                heights[p] = np.nan
             else:
                 on_plane = k < count
                 belongs = on_plane and is_ground[k]
@@ -253,7 +259,7 @@ def mark_ground(depth_m, labels, lines, ways, ray_x, ray_y, planes, down, is_gro
                         last_seen[w] = -1
                     x, y = x0 + x_step * np.float32(at), y0 + y_step * np.float32(at)
                     sight = down[0] * x + down[1] * y + down[2]
-                    far = z * _far(down, x, y)
+                    far = zero if is_hidden[w] else z * _far(down, x, y)
                     # The way is at least so long: the error of a wall's depth leads nowhere.
                     way = zero if is_hidden[w] else far - ahead[w] - z * z * error
                     rise = abs(z * sight - below[w])
@@ -293,33 +299,24 @@ def mark_drops(depth_m, labels, ground, lines, ways, ray_x, ray_y, planes, down,
     lower, mixed = np.zeros(ways, np.int32), np.zeros(ways, np.int32)
     # The drop that was found last, its plane, the lines on which it was seen; the last line.
     pending, pending_k = np.full(ways, -1, np.int32), np.zeros(ways, np.int32)
-    pending_end, way_end = np.zeros(ways, np.int32), np.zeros(ways, np.int32)
-    # A border at the side that never has depth ends a way, as the border of the image does.
-    nearest, farthest = np.empty(2, np.int64), np.zeros(2, np.int64)
-    nearest[0], nearest[1] = width, height
-    for v in range(0, height, 4):
-        for u in range(0, width, 4):
-            if depth_m[v, u] >= MIN_DEPTH_M and depth_m[v, u] < np.inf:
-                nearest[0], nearest[1] = min(nearest[0], u), min(nearest[1], v)
-                farthest[0], farthest[1] = max(farthest[0], u), max(farthest[1], v)
+    pending_end = np.zeros(ways, np.int32)
+    regions, is_ground_at = labels.reshape(-1), ground.reshape(-1)
     for i in range(len(lines)):
         u0, v0, du, dv, start, step, first, last, low, high = _line(lines, i)
-        least, most = nearest[dv] + BORDER_PX, farthest[dv] - BORDER_PX
         for w in range((first + 1) // 2 * 2, last, 2):
             a = min(max((start + w * step) >> FRACTION_BITS, low), high - 1)
-            u, v = u0 + du * a, v0 + dv * a
-            if least <= (u if du else v) <= most:
-                way_end[w] = i
-            k = labels[v, u]
-            if k >= 0 and k == end_k[w] and ground[v, u]:
+            u, v, e = u0 + du * a, v0 + dv * a, end_k[w]
+            p = np.uint64(v * width + u)
+            if e < 0 and not is_ground_at[p]:
+                continue  # no ground has begun
+            k = regions[p]
+            if k >= 0 and k == e and is_ground_at[p]:
                 end[w], end_z[w], lower[w], mixed[w] = i, 0.0, 0, 0
                 continue
-            if end_k[w] < 0 and not ground[v, u]:
-                continue  # no ground has begun
             z = np.float64(depth_m[v, u])
             if not (z >= MIN_DEPTH_M and z < np.inf):
                 continue
-            x, y, e, on_plane = ray_x[u], ray_y[v], end_k[w], 0 <= k < planes_count
+            x, y, on_plane = ray_x[u], ray_y[v], 0 <= k < planes_count
             if pending[w] >= 0 and ground[v, u]:
                 j = pending_k[w]
                 s = planes[j, 0] * x + planes[j, 1] * y + planes[j, 2]
@@ -371,12 +368,27 @@ def mark_drops(depth_m, labels, ground, lines, ways, ray_x, ray_y, planes, down,
                     end[w], end_k[w], end_z[w], lower[w], mixed[w] = i, k, 0.0, 0, 0
                 elif k < 0 and own == planes_count:  # the own floor is no plane
                     end[w], end_k[w], end_z[w], lower[w], mixed[w] = i, own, z, 0, 0
+    # A border at the side that never has depth ends a way, as the border of the image does.
+    nearest, farthest = np.empty(2, np.int64), np.zeros(2, np.int64)
+    nearest[0], nearest[1] = width, height
+    for v in range(0, height, 4):
+        for u in range(0, width, 4):
+            if depth_m[v, u] >= MIN_DEPTH_M and depth_m[v, u] < np.inf:
+                nearest[0], nearest[1] = min(nearest[0], u), min(nearest[1], v)
+                farthest[0], farthest[1] = max(farthest[0], u), max(farthest[1], v)
     for w in range(0, ways, 2):
         e = end_k[w]
-        if e < 0 or lower[w] > 0 or end[w] >= way_end[w] or count == len(found):
+        if e < 0 or lower[w] > 0 or count == len(found):
+            continue
+        i = len(lines) - 1
+        while i > end[w] and not (lines[i, 6] <= w < lines[i, 7]
+                                  and nearest[lines[i, 3]] + BORDER_PX <= _position(lines, i, w)
+                                  <= farthest[lines[i, 3]] - BORDER_PX):
+            i -= 1
+        if i == end[w]:
             continue
         x_end, y_end = _ray_at(lines, end[w], w, ray_x, ray_y)
-        x, y = _ray_at(lines, way_end[w], w, ray_x, ray_y)
+        x, y = _ray_at(lines, i, w, ray_x, ray_y)
         z, z_end = np.float64(_depth_on(planes, e, x, y)), end_z[w]
         if z_end == 0.0:
             z_end = _depth_on(planes, e, x_end, y_end)
@@ -395,7 +407,7 @@ def mark_drops(depth_m, labels, ground, lines, ways, ray_x, ray_y, planes, down,
 @kernel(f'UniTuple(float32, 2)({_LINES}, int64, int64, {_RAYS})')
 def _ray_at(lines, i, w, ray_x, ray_y):
     """Return the slopes of the ray of a way on a line."""
-    a = min(max((lines[i, 4] + w * lines[i, 5]) >> FRACTION_BITS, lines[i, 8]), lines[i, 9] - 1)
+    a = _position(lines, i, w)
     return ray_x[lines[i, 0] + lines[i, 2] * a], ray_y[lines[i, 1] + lines[i, 3] * a]
 
 
@@ -413,8 +425,7 @@ def _is_reflection(depth_m, lines, first, last, w, ray_x, ray_y, planes, down, e
     rim = z_rim * _far(down, x, y)
     seen = beyond = 0
     for i in range(first + 1, last):
-        a = (lines[i, 4] + w * lines[i, 5]) >> FRACTION_BITS
-        a = min(max(a, lines[i, 8]), lines[i, 9] - 1)
+        a = _position(lines, i, w)
         u, v = lines[i, 0] + lines[i, 2] * a, lines[i, 1] + lines[i, 3] * a
         x, y, z = ray_x[u], ray_y[v], np.float64(depth_m[v, u])
         s = planes[e, 0] * x + planes[e, 1] * y + planes[e, 2]
