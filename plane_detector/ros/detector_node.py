@@ -273,9 +273,10 @@ class PlaneDetectorNode(LifecycleNode):
             for event in self._live_map.take_events():
                 self.get_logger().warning(event)
         self._inputs.follow_publishers()
-        for key, misfit in self._outputs.misfits().items():
-            self._health.warn_once(key, misfit)
-        silence, obstacle = self._inputs.problem(), self._inputs.obstacle()
+        for publishers in filter(None, (self._outputs, self._map)):
+            for key, misfit in publishers.misfits().items():
+                self._health.warn_once(key, misfit)
+        silence, obstacle = self._inputs.watch.problem(), self._inputs.watch.obstacle()
         if not silence and report.unpaired_lately and not report.stage_seconds:
             silence = self._inputs.explain_unpaired(self.get_fully_qualified_name())
             obstacle = obstacle or silence
@@ -287,7 +288,7 @@ class PlaneDetectorNode(LifecycleNode):
             silence = self._live_map.problem()
             self._health.warn_of_changes('map', silence)
         self._requests.expire(obstacle)
-        arrivals = self._inputs.arrivals()
+        arrivals = self._inputs.count.arrivals()
         facts['images_received'] = (
             f'{arrivals.images}, with {arrivals.camera_infos} CameraInfo, in 5 s')
         is_idle = (self._live.settings.mode == 'continuous' and self._map is None

@@ -144,3 +144,14 @@ def test_a_jump_is_logged(robot, tmp_path, monkeypatch):
     for k, x_m in enumerate((0.4, 0.4, 0.55, 0.55, 0.55)):
         show(robot, odometry, 1.0 + 0.1 * k, k + 1, x_m=x_m)
     assert robot.is_logged('the poses have jumped by 15 cm')
+
+
+def test_subscribers_whose_qos_does_not_fit_are_named(robot, tmp_path):
+    """Both want messages from before they came, which none keeps: the map's override says so."""
+    begin(robot, tmp_path, **{
+        'qos_overrides./plane_detector/map/planes.publisher.durability': 'volatile'})
+    hear(robot)
+    robot.node.create_subscription(PointCloud2, '/plane_detector/planes', print, LATCHED)
+    for topic in ('planes', 'map/planes'):
+        assert robot.is_logged(f'/robot subscribes to /plane_detector/{topic}, but receives '
+                               'nothing, because its QoS does not fit (')

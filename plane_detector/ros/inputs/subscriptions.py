@@ -29,7 +29,6 @@ from plane_detector.ros.inputs.topic_watch import (
     GRACE_S,
     MESSAGES_LOST,
     ArrivalCount,
-    Arrivals,
     TopicWatch,
 )
 from plane_detector.ros.inputs.transforms import FrameTransforms
@@ -139,6 +138,14 @@ class Subscriptions:
     ``output`` is that of the network: relative disparity can use measured depth. ``on_dropped`` is
     called with the number of images that did not become a frame. Both are called in the thread of
     the executor. ``transforms`` give the mounting of an IMU that has a frame of its own.
+
+    Attributes
+    ----------
+    watch : TopicWatch
+        Which topics are silent, and why.
+    count : ArrivalCount
+        How many images and CameraInfo arrive.
+
     """
 
     def __init__(self, node: Node, config: Config, settings: NodeConfig, output: str,
@@ -165,9 +172,9 @@ class Subscriptions:
             wanted[self._depth_role] = self._depth_type, self._on_depth
         if settings.use_imu:
             wanted['imu'] = Imu, self._on_imu
-        self._watch = TopicWatch(node)
+        self.watch = TopicWatch(node)
         self._is_depth_watched = depth == 'required'
-        self._count = ArrivalCount()
+        self.count = ArrivalCount()
         self._epoch = self._synchronizer.epoch
         self._depth_offset_s = self._lost_share = 0.0
         self._unpaired_since_s = math.inf
@@ -210,21 +217,9 @@ class Subscriptions:
         for subscription in self._subscriptions.values():
             subscription.follow()
 
-    def problem(self) -> str:
-        """Return which topic is silent and why, empty if none is; it is logged when it changes."""
-        return self._watch.problem()
-
-    def obstacle(self) -> str:
-        """Return why no frame can come, as far as that is known; empty if one can."""
-        return self._watch.obstacle()
-
-    def arrivals(self) -> Arrivals:
-        """Return how many images and CameraInfo have arrived lately."""
-        return self._count.arrivals()
-
     def explain_loss(self) -> str:
         """Return that images are missing beside CameraInfo, and the remedy; empty if not."""
-        arrivals = self.arrivals()
+        arrivals = self.count.arrivals()
         if not arrivals.are_few:
             return ''
         lost_share = 1 - arrivals.images / arrivals.camera_infos
@@ -245,7 +240,7 @@ class Subscriptions:
         if offset_s is None:
             return ''
         self._unpaired_since_s = min(self._unpaired_since_s, now_s)
-        if now_s - self._unpaired_since_s < GRACE_S or self.arrivals().are_few:
+        if now_s - self._unpaired_since_s < GRACE_S or self.count.arrivals().are_few:
             return ''
         if abs(offset_s - self._depth_offset_s) > _OFFSET_CHANGE * abs(self._depth_offset_s):
             self._depth_offset_s = offset_s
@@ -254,7 +249,7 @@ class Subscriptions:
         found = ('images arrive, but no depth image with their stamp, within stamp_slop: the '
                  f'nearest is {1e3 * abs(offset_s):.0f} ms {when}; ')
         slop_s = _rounded_up(abs(offset_s))
-        if float(slop_s) > self._count.period_s / 2:
+        if float(slop_s) > self.count.period_s / 2:
             return found + ('synchronise the camera: a larger stamp_slop would pair images with '
                             'the depth of others')
         return found + ('synchronise the camera, or: ros2 param set '
@@ -266,13 +261,13 @@ class Subscriptions:
                                          self._reliability)
         self._subscriptions[role] = subscription
         if is_watched:  # one CameraInfo is enough
-            self._watch.add(role, subscription.topic, msg_type, may_stop=role == 'camera_info',
+            self.watch.add(role, subscription.topic, msg_type, may_stop=role == 'camera_info',
                             only_reliable=self._reliability == 'reliable',
                             is_needed=role != 'imu')
 
     def _on_image(self, msg: Any) -> None:
-        self._watch.heard(self._anchor)
-        self._count.add(ns_of(msg), is_image=True)
+        self.watch.heard(self._anchor)
+        self.count.add(ns_of(msg), is_image=True)
         self._camera_header = msg.header
         self._hand_over(self._synchronizer.add_image(msg))
         if self._synchronizer.epoch != self._epoch:
@@ -296,17 +291,17 @@ class Subscriptions:
             f'published by {", ".join(senders)}', throttle_duration_sec=_JUMPS_WITHIN_S)
 
     def _on_camera_info(self, msg: CameraInfo) -> None:
-        self._watch.heard('camera_info')
-        self._count.add(ns_of(msg), is_image=False)
+        self.watch.heard('camera_info')
+        self.count.add(ns_of(msg), is_image=False)
         self._hand_over(self._synchronizer.add_camera_info(msg))
 
     def _on_depth(self, msg: Any) -> None:
         if self._is_depth_watched:
-            self._watch.heard(self._depth_role)
+            self.watch.heard(self._depth_role)
         self._hand_over(self._synchronizer.add_depth(msg))
 
     def _on_imu(self, msg: Imu) -> None:
-        self._watch.heard('imu')
+        self.watch.heard('imu')
         if not self._is_mounted:
             self._is_mounted = self._mount(msg.header.frame_id)
             if self._is_mounted and self._has_tf_for_imu_only and self._transforms is not None:
