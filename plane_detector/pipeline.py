@@ -266,10 +266,9 @@ class PlaneDetector:
                          gravity_camera=around.gravity.gravity_camera,
                          gravity_source=around.gravity.source, gravity_note=around.gravity.note,
                          gravity_probability=around.gravity.probability,
-                         horizontal_axes=around.level_axes, ground_pixels=ground.pixels,
-                         drop_note=ground.note, camera_height_m=ground.camera_height_m,
-                         tilt_deg=ground.tilt_deg, mounting=ground.mounting,
-                         stage_seconds=timer.seconds)
+                         ground_pixels=ground.pixels, drop_note=ground.note,
+                         camera_height_m=ground.camera_height_m, tilt_deg=ground.tilt_deg,
+                         mounting=ground.mounting, stage_seconds=timer.seconds)
 
     def reset(self) -> None:
         """

@@ -431,8 +431,6 @@ class Detection(PlaneSegmentation):
     gravity_note: str = ''  # why the image does not give it, if it was tried
     # That the direction is right within 5 degrees, if the image gives it; else NaN.
     gravity_probability: float = float('nan')
-    # (A, 3) float64, perpendicular horizontal axes of the scene, from the lines of the image.
-    horizontal_axes: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
     # Or an object with these attributes, computed on first access, as `find_ground` returns.
     ground_pixels: GroundPixels = field(default_factory=GroundPixels)
     drop_note: str = ''  # why there are no drops; empty if they are searched for

@@ -28,8 +28,7 @@ FRAME_TOLERANCE_DEG = 4.0
 MIN_FRAME_SHARE = 0.5
 
 
-def classify_planes(planes: Planes, down: np.ndarray,
-                    tolerance_deg: float = TOLERANCE_DEG) -> np.ndarray:
+def classify_planes(planes: Planes, down: np.ndarray) -> np.ndarray:
     """
     Distinguish walls, the ceiling and other horizontal planes.
 
@@ -39,8 +38,6 @@ def classify_planes(planes: Planes, down: np.ndarray,
         With true angles, in any unit. One whose normal is too uncertain for its class is OTHER.
     down : (3,) floating
         Unit direction of gravity in the optical frame.
-    tolerance_deg : float
-        Largest angle to horizontal or vertical.
 
     Returns
     -------
@@ -60,14 +57,14 @@ def classify_planes(planes: Planes, down: np.ndarray,
 
     """
     facing_down, offsets = planes.normals @ down, planes.offsets_m
-    upright, level = math.sin(math.radians(tolerance_deg)), math.cos(math.radians(tolerance_deg))
+    upright, level = math.sin(math.radians(TOLERANCE_DEG)), math.cos(math.radians(TOLERANCE_DEG))
     above = facing_down >= level
     outermost = above & (offsets >= (1.0 - SAME_LEVEL_SHARE) * offsets[above].max(initial=0.0))
     classes = np.full(len(planes), PlaneClass.OTHER, np.uint8)
     classes[np.abs(facing_down) <= upright] = PlaneClass.WALL
     classes[np.abs(facing_down) >= level] = PlaneClass.OTHER_HORIZONTAL
     classes[outermost] = PlaneClass.CEILING
-    classes[~are_certain(planes, down, tolerance_deg)] = PlaneClass.OTHER
+    classes[~are_certain(planes, down)] = PlaneClass.OTHER
     return classes
 
 

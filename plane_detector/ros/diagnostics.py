@@ -73,8 +73,7 @@ class Statistics:
         self._last_error, self._error_s = '', 0.0
         self._start_window()
 
-    def add_processed(self, stage_seconds: Mapping[str, float],
-                      frame: DetectedFrame | None = None) -> None:
+    def add_processed(self, stage_seconds: Mapping[str, float], frame: DetectedFrame) -> None:
         """Count a processed frame."""
         with self._lock:
             self._last = frame

@@ -139,8 +139,8 @@ class FrameRequests:
     ``wake`` wakes the executor, so that it sends answers given by another thread.
     """
 
-    def __init__(self, wake: Callable[[], None], clock: Callable[[], float] = time.monotonic):
-        self._wake, self._clock = wake, clock
+    def __init__(self, wake: Callable[[], None]):
+        self._wake = wake
         self._lock = threading.Lock()
         self._calls: list[_Call] = []
         self._count = 0
@@ -156,7 +156,8 @@ class FrameRequests:
         future = Future()
         with self._lock:
             if len(self._calls) < MOST_CALLS:
-                self._calls.append(_Call(self._count, self._clock() + ANSWERED_WITHIN_S, future))
+                until_s = time.monotonic() + ANSWERED_WITHIN_S
+                self._calls.append(_Call(self._count, until_s, future))
                 return future
         future.set_result((False, f'{MOST_CALLS} calls are waiting for a frame already'))
         return future
@@ -173,7 +174,7 @@ class FrameRequests:
 
     def expire(self, obstacle: str) -> None:
         """Answer the calls that have waited too long, or all if it is known why no frame comes."""
-        now_s = self._clock()
+        now_s = time.monotonic()
         if obstacle:
             self.refuse_all(f'no frame: {obstacle}')
         self._answer(lambda call: call.until_s <= now_s, False,
@@ -226,8 +227,7 @@ class FrameFlow:
     """
 
     def __init__(self, processor: FrameProcessor, outputs: OutputPublishers, query: PointQuery,
-                 live: LiveSettings, records: FrameRecords,
-                 planes_map: MapInterface | None = None) -> None:
+                 live: LiveSettings, records: FrameRecords, planes_map: MapInterface | None):
         self._processor: FrameProcessor | None = processor
         self._outputs, self._query, self._live = outputs, query, live
         self._records, self._map = records, planes_map

@@ -25,12 +25,6 @@ class DisparityPlanes:
     pixel_share: np.ndarray  # (N,) float64, of each plane in the pixels of all these planes
     labels: np.ndarray  # (N,) int64: index of each plane among those of the segmentation
 
-    @classmethod
-    def none(cls) -> DisparityPlanes:
-        """Return an instance without planes."""
-        return cls(np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 2)), np.zeros(0),
-                   np.zeros(0, np.int64))
-
     def __len__(self) -> int:
         return len(self.labels)
 

@@ -125,7 +125,7 @@ def estimate_scale(evidence: ScaleEvidence, config: ScaleConfig | None = None) -
 
     Examples
     --------
-    >>> evidence = ScaleEvidence(np.full((30, 40), 0.5), DisparityPlanes.none)
+    >>> evidence = ScaleEvidence(np.full((30, 40), 0.5), find_planes=lambda: None)
     >>> print(estimate_scale(evidence, ScaleConfig(method='fixed')))
     relative, unit unknown: fixed: scale.disparity_scale is not given
     >>> given = ScaleConfig(method='fixed', disparity_scale=0.8)

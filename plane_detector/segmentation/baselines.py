@@ -233,7 +233,7 @@ def point_clusters(points_m: np.ndarray, eps_m: float, min_samples: int) -> np.n
 
 
 @one_thread()
-def ransac_alone(depth_m: np.ndarray, config: Config | None = None) -> np.ndarray:
+def ransac_alone(depth_m: np.ndarray) -> np.ndarray:
     """
     Label pixels by sequential RANSAC without clustering, to show the effect of clustering.
 
@@ -243,8 +243,6 @@ def ransac_alone(depth_m: np.ndarray, config: Config | None = None) -> np.ndarra
     ----------
     depth_m : (H, W) floating
         Metres, NaN invalid.
-    config : Config, optional
-        Its ``segmentation`` and ``ransac`` are used.
 
     Returns
     -------
@@ -252,7 +250,7 @@ def ransac_alone(depth_m: np.ndarray, config: Config | None = None) -> np.ndarra
         Plane of each pixel, -1 none.
 
     """
-    config = config or Config()
+    config = Config()
     image = DisparityImage(*zero_filled(to_disparity(depth_m)))
     grid = build_cell_grid(image)
     noise = estimate_noise(grid, metric_noise_floor(config))

@@ -126,7 +126,7 @@ class DepthView:
         """Return the cells (R, C) bool that the silhouette of some cells (R * C,) may cross."""
         return dilated(cells.reshape(self.shape), _BORDER_CELLS).astype(bool)
 
-    def _pixels_of(self, cells: np.ndarray, step: int = 1) -> np.ndarray:
+    def _pixels_of(self, cells: np.ndarray, step: int) -> np.ndarray:
         """Return every step-th pixel v * W + u of cells (n,) int, cell by cell."""
         (height, width), size = self.labels.shape, self.size_px
         number = np.arange(0, len(cells) * size**2, step)

@@ -150,7 +150,7 @@ class Subscriptions:
 
     def __init__(self, node: Node, config: Config, settings: NodeConfig, output: str,
                  on_frame: Callable[[Frame], None], on_dropped: Callable[[int], None],
-                 transforms: FrameTransforms | None = None):
+                 transforms: FrameTransforms | None):
         self._node = node
         self._on_frame, self._on_dropped = on_frame, on_dropped
         self._transforms = transforms

@@ -8,7 +8,7 @@ import difflib
 import statistics
 import time
 from collections import deque
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -51,9 +51,8 @@ class _Topic:
 class TopicWatch:
     """Records the arrival of messages, and reports which topic is silent and why."""
 
-    def __init__(self, node: Node, clock: Callable[[], float] = time.monotonic):
-        self._node, self._clock = node, clock
-        self._start_s = clock()
+    def __init__(self, node: Node):
+        self._node, self._start_s = node, time.monotonic()
         self._topics: dict[str, _Topic] = {}
 
     def add(self, role: str, topic: str, msg_type: Any, may_stop: bool = False,
@@ -65,11 +64,11 @@ class TopicWatch:
 
     def heard(self, role: str) -> None:
         """Record the arrival of a message."""
-        self._topics[role].heard_s.append(self._clock())
+        self._topics[role].heard_s.append(time.monotonic())
 
     def problem(self) -> str:
         """Return the problems, silent topics first; log changes."""
-        now_s = self._clock()
+        now_s = time.monotonic()
         for role, topic in self._topics.items():
             self._note(topic, self._problem_of(role, topic, now_s))
         unheard_first = sorted(self._topics.values(), key=lambda topic: bool(topic.heard_s))

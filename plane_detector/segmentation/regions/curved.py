@@ -105,7 +105,7 @@ def fit_quadric(first, second, noise_share):
 
 
 def find_curved(graph: RegionGraph, noise_density: float, min_turn_deg: float,
-                bending: float = 1.0, max_radius_m: float = np.inf,
+                bending: float, max_radius_m: float = np.inf,
                 correlation: Correlation | None = None) -> np.ndarray:
     """
     Find regions that a quadric explains better than a plane, alone or together with neighbours.

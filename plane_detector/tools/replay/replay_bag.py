@@ -71,9 +71,9 @@ class Tally:
     target: Path | None = None  # the new bag
     seconds: float = 0.0  # of all frames
     stage_seconds: Counter[str] = field(default_factory=Counter)  # the rest is reading
-    # Where the unit of depth came from, and why planes have no class, of each frame by kind.
     map_events: list[str] = field(default_factory=list)  # jumps of the poses
     map_problem: str = ''  # with the poses or the map at the end
+    # Where the unit of depth came from, and why planes have no class, of each frame by kind.
     scales: dict[str, list[str]] = field(default_factory=lambda: defaultdict(list))
     gaps: dict[str, list[str]] = field(default_factory=lambda: defaultdict(list))
 
