@@ -52,7 +52,7 @@ _HELPER = """
 import os, sys
 sys.path[:] = sys.argv[1].split(os.pathsep)
 from plane_detector.compilation import help_parent
-help_parent(int(sys.argv[2]), sys.argv[3:])
+help_parent(int(sys.argv[2]), set(sys.argv[3].split()), sys.argv[4:])
 """
 _KERNELS: list[Kernel] = []
 # Numba takes its cache folder from a global setting, so only one thread may change it at a time;
@@ -267,7 +267,7 @@ def _compile_in_processes(kernels: list[Kernel], log: Callable[[str], None]) -> 
     # This package first, wherever the program that uses it has found it.
     search_path = os.pathsep.join([str(Path(__file__).parents[1]), *filter(None, sys.path)])
     command = [sys.executable, '-I', *(['-B'] if sys.dont_write_bytecode else []), '-c', _HELPER,
-               search_path, str(os.getpid()), *modules]
+               search_path, str(os.getpid()), ' '.join({one.subject for one in kernels}), *modules]
     # Numba would mark up each of the 50000 types that it tries in vain.
     environment = {**os.environ, 'NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING': '1'}
     helpers, logged_s = [], time.monotonic()
@@ -294,11 +294,15 @@ def _compile_in_processes(kernels: list[Kernel], log: Callable[[str], None]) -> 
             log(f'a process that helps has failed, so that compiling takes longer: {reason}')
 
 
-def help_parent(parent: int, modules: Sequence[str]) -> None:
-    """Compile the modules whose numbers are read from standard input, while the parent lives."""
+def help_parent(parent: int, subjects: set[str], modules: Sequence[str]) -> None:
+    """
+    Compile kernels of subjects, while the parent lives.
+
+    The numbers of their modules are read from standard input.
+    """
     for module in modules:
         import_module(module)
-    own = _own_kernels({one.subject for one in _KERNELS})
+    own = _own_kernels(subjects)
     while number := os.read(0, 1):
         for one in own:
             if os.getppid() != parent:

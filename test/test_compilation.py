@@ -22,6 +22,9 @@ from sample.stage.parts import part
 @kernel('f8(f8[:])')
 def picked(row):
     return part(row[COLUMN])
+@kernel('f8(f8)', subject='later')
+def halved(value):
+    return value / 2
 """
 PART = """
 from plane_detector.compilation import kernel
@@ -76,6 +79,7 @@ def test_changes_in_other_files_are_compiled_and_code_not_used_for_a_month_is_re
     printed = sample(0, '+')
     assert printed[0].startswith('compiling the loops for this machine')
     assert printed[-1] == '11.0'
+    assert list(folder.glob('*/*/*picked*.nbc')) and not list(folder.glob('*/*/*halved*'))
     assert sample(1, '+')[-1] == '21.0'
     assert sample(1, '-')[-1] == '19.0'
     for name in ('old', 'recent'):
