@@ -155,14 +155,16 @@ def _tinted(rgb, labels, colours, share):
         mix[k + 1, 3] = 256 - of_colour
         for channel in range(3):
             mix[k + 1, channel] = 128 + of_colour * colours[k, channel]
+    label, red, green, blue, left = 0, mix[0, 0], mix[0, 1], mix[0, 2], mix[0, 3]
     for v in range(labels.shape[0]):
         for u in range(labels.shape[1]):
-            k = max(labels[v, u], 0)
-            if k > count:
-                k = (k - 1) % count + 1
-            for channel in range(3):
-                result[v, u, channel] = np.uint8(
-                    (mix[k, 3] * rgb[v, u, channel] + mix[k, channel]) >> np.uint32(8))
+            if labels[v, u] != label:
+                label = labels[v, u]
+                k = max(label, 0) if label <= count else (label - 1) % count + 1
+                red, green, blue, left = mix[k, 0], mix[k, 1], mix[k, 2], mix[k, 3]
+            result[v, u, 0] = (left * rgb[v, u, 0] + red) >> np.uint32(8)
+            result[v, u, 1] = (left * rgb[v, u, 1] + green) >> np.uint32(8)
+            result[v, u, 2] = (left * rgb[v, u, 2] + blue) >> np.uint32(8)
     return result
 
 
