@@ -142,10 +142,13 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
         ('cv2.flip(crop, 1) if view.is_mirrored else crop',
          'crop + 0', 'a mirrored view not turned back'),),
     'depth/far.py': (
+        ('darkest = np.minimum(', 'darkest = np.maximum(', 'a yellow wall is an overexposed sky'),
         ('FAR_DEVIATIONS * noise', 'noise', 'dropped factor of the noise'),
         ('_is_bright(small, _MIN_FLAT_GREY, 0.0)', '_is_bright(small, 0.0, 0.0)',
          'dark regions are sky')),
     'depth/temporal_filter.py': (
+        ('PER_MEDIAN * np.median(residual)', 'PER_MEDIAN / np.median(residual)',
+         'wild values change the scale'),
         ('min(keep, previous.image_count / (previous.image_count + 1))',
          'keep', 'the first images weigh more'),),
     'shapes/surfels.py': (

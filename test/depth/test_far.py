@@ -56,6 +56,14 @@ def test_a_white_wall_is_not_sky(share):
     assert find_sky(np.full_like(rgb, 255), np.full_like(disparity, 0.5)) is None
 
 
+@pytest.mark.parametrize(('colour', 'is_sky'), [((255, 255, 255), True), ((255, 255, 0), False)])
+def test_an_overexposed_sky_is_white_and_far(colour, is_sky):
+    rgb, disparity = landscape(top=colour, horizon=colour)
+    disparity[:HORIZON] = 0.1
+    sky = find_sky(rgb, disparity)
+    assert (sky[:HORIZON].all() and not sky[HORIZON + 9:].any()) if is_sky else sky is None
+
+
 def test_the_reduced_image_of_a_narrow_one_is_not_large(monkeypatch):
     """Else 3 x 4000 pixels would become 34 million."""
     sizes, resize = [], cv2.resize

@@ -118,6 +118,15 @@ def test_relative_disparity_of_any_scale_and_shift():
     assert rms(state, scale * TRUTH + shift) < 0.45 * scale * NOISE
 
 
+def test_a_wild_patch_does_not_change_the_scale():
+    images, disparities = still(6)
+    disparities[-1][100:108, 100:108] = 50.0
+    state = damped(images, disparities, same_scale=False)
+    assert state.image_count == 6
+    state.disparity[100:108, 100:108] = np.nan
+    assert rms(state) < 0.6 * NOISE
+
+
 def test_invalid_pixels_stay_invalid_and_new_ones_stand_alone():
     images, disparities = still(4)
     for disparity in disparities[:-1]:
