@@ -144,7 +144,7 @@ class DirectionsConfig(Settings, section='directions'):
 
     gravity: bool = setting(
         True, 'without an IMU, TF or scale.gravity, the direction of gravity is estimated from '
-        'the vertical lines of the image, if they determine it reliably')
+        'the lines and the depth of the image, if they show reliably how the camera is mounted')
     orient_planes: bool = setting(
         True, 'planes in the depth of a network are rotated to the orientation that is most '
         'likely given their lines and the axes of the scene; measured depth is not changed')

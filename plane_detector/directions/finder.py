@@ -16,6 +16,7 @@ from plane_detector.directions.line_segments import LineSegments, detect_line_se
 from plane_detector.directions.posterior import (
     Expected,
     collect_evidence,
+    log_likelihood_of_turns,
     log_odds_down,
     surface_normals,
     usual_inverse_depth,
@@ -87,14 +88,15 @@ def find_in_image(image: CameraImage, expected: Expected | None = None,
     """
     expected = expected or Expected()
     segments = detect_line_segments(image.rgb, image.intrinsics, image.covered)
-    surface, odds_down = None, 0.0
+    surface, by_depth = None, ()
     if image.disparity is not None:
         inverse = usual_inverse_depth(image.disparity) if image.has_shift else image.disparity
         surface = surface_normals(inverse, image.intrinsics)
-        odds_down = log_odds_down(image.disparity, surface, image.has_shift)
+        by_depth = (log_odds_down(image.disparity, surface, image.has_shift),
+                    log_likelihood_of_turns(surface))
     if before is not None:
         expected = carried(expected, before.directions, before.segments, segments)
-    evidence = collect_evidence(segments, None if image.has_shift else surface, odds_down)
+    evidence = collect_evidence(segments, None if image.has_shift else surface, *by_depth)
     return ImageDirections(segments, find_directions(segments, evidence, expected))
 
 

@@ -4,8 +4,8 @@
 Posterior of the vertical and of the azimuth of the scene.
 
 1. A frame of three perpendicular axes has pitch and roll, which give the vertical, and an azimuth.
-   The prior is how cameras are held, or that they look straight down, or a coarse direction of
-   gravity, and the modes of the posterior of the image before.
+   The prior is how cameras are mounted: upright, on a side, upside down, or looking straight
+   down, or a coarse direction of gravity, and the modes of the posterior of the image before.
 2. Each line segment points to one of the axes, with an error by its length, or anywhere; the share
    of those is that of the best coarse cell. Segments of one line share one vote.
 3. Each surface of the depth has a normal along one of the axes, or horizontal, or anything, with
@@ -27,7 +27,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from statistics import NormalDist
 
 import cv2
 import numpy as np
@@ -52,6 +51,17 @@ MAX_PITCH_DEG, MAX_ROLL_DEG, STEP_DEG = 60.0, 30.0, 7.5
 # chosen: lines alone then leave open which of them a surface parallel to the image plane is, and
 # nothing at ten degrees from there.
 LOOKING_DOWN, DOWN_DEG, MAX_DOWN_DEG = 0.05, 12.0, 25.0
+# Share of cameras for each of three more mountings: on either side, and upside down. chosen:
+# together above what the probability of an answer leaves, so that depth which does not show the
+# mounting leaves the vertical open.
+TURNED = 0.07
+# By the depth: cameras see much of what faces upwards, floors and tables, and hardly anything that
+# faces downwards, while walls on both sides are seen alike. The log likelihood that gravity points
+# to a side of the image is the log of the share of normals within FACING_DEG of it (of floors,
+# away from the camera) times one weight, less that of its opposite times the other.
+# tuned: 56 real frames, 48 rooms and corridors (seeds 8200 to 8211), each in four mountings: from
+# (0.3, 1.5) and (0.5, 2) to (0.7, 2) 38 to 41 real frames are answered upright, 2 turned wrong.
+FLOOR_WEIGHT, CEILING_WEIGHT, FACING_DEG, LEAST_SHARE = 0.7, 2.0, 41.4, 0.02
 # By the disparity: upright cameras see what is near at the bottom. The trend is the difference
 # of the medians of the lowest and the highest quarter of the image over the spread (10 to 90 %) of
 # all. Its density upright is normal, or as from above anywhere between -1 and 1. measured: .3 to
@@ -70,14 +80,6 @@ AHEAD_DEG, AHEAD_SPREAD, ANY_AHEAD = 20.0, 0.35, 0.1
 # says nothing. measured: median 0.42, at most 0.72 in 50 upright views of rooms; 0.63 to 1, median
 # 0.97, in 30 of rooms from above; the same within 0.03 for a far tenth of 0.2 to 0.6.
 USUAL_RATIO, LARGEST, LARGEST_SPREAD = 0.43, 0.45, 0.13
-# Without a shift, the far tenth of the disparities is at least about this share of the near tenth
-# from above, with this spread: little lies far below a table or a floor. A larger one says
-# nothing. measured: 0.61 to 0.99 in 24 rooms from above, 0.41 to 0.81 in five real frames from
-# above, 0.15 to 0.31 along 24 corridors, whose ceiling hides the trend (without this 2 of 20 are
-# answered), 0.23 to 0.83 in other upright views of rooms.
-# tuned: corridors, rooms and rooms from above, seeds 8000 to 8011: flat from 0.35 to 0.55 and
-# from 0.05 to 0.11; at 0.3 half of the corridors are not answered.
-FAR_RATIO, FAR_SPREAD, ANY_FAR = 0.4, 0.08, 0.1
 # Each step is divided by three in the best cells that are not negligible (log of the posterior).
 # tuned: flat from 8 to 1000; at 5 a tenth more answers, and twice as many wrong ones.
 DIVIDED_CELLS, DIVISION, NEGLIGIBLE = 40, 3, 10.0
@@ -119,6 +121,9 @@ CLOSE_DEG = 5.0
 # Errors beyond three standard deviations do not count.
 MOST_VARIANCES = 9.0
 UPRIGHT, AHEAD = np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0])
+# Of gravity to the bottom, right, top and left of the image: the roll, and the share of cameras.
+TURNS_DEG = np.array([[0.0], [-90.0], [180.0], [90.0]])
+LOG_SHARES = np.log([[1 - LOOKING_DOWN - 3 * TURNED], *[[TURNED]] * 3])
 # Keeps the direction of a line defined where it passes through the vanishing point. chosen: the
 # square of two degrees.
 MIN_IMAGE_LENGTH2 = 1e-3
@@ -165,6 +170,11 @@ class Expected:
     new: float = 1.0
 
 
+# Without depth no camera is turned.
+TAKEN_AS_UPRIGHT = (math.log((1 - LOOKING_DOWN) / (1 - LOOKING_DOWN - 3 * TURNED)),
+                    *[-math.inf] * 3)
+
+
 @dataclass(frozen=True)
 class Evidence:
     """Lines and normals of an image."""
@@ -176,10 +186,13 @@ class Evidence:
     normal_rad: float = np.radians(NORMAL_DEG[-1])  # their error
     stray_share: float = STRAY_LINES  # of the lines, along no axis
     log_odds_down: float = 0.0  # of a camera that looks straight down
+    # four log likelihoods that gravity points to the bottom, right, top and left of the image
+    log_turned: Sequence[float] = TAKEN_AS_UPRIGHT
 
 
 def collect_evidence(segments: LineSegments, surface: np.ndarray | None = None,
-                     odds_down: float = 0.0) -> Evidence:
+                     odds_down: float = 0.0,
+                     log_turned: Sequence[float] = TAKEN_AS_UPRIGHT) -> Evidence:
     """
     Return what the posterior takes from an image.
 
@@ -190,6 +203,8 @@ def collect_evidence(segments: LineSegments, surface: np.ndarray | None = None,
         Normals of the depth; those without a direction are 0.
     odds_down : float
         As of :func:`log_odds_down`.
+    log_turned : (4,) floating
+        As of :func:`log_likelihood_of_turns`. Default: an upright camera.
 
     """
     normals = segments.normals
@@ -199,7 +214,8 @@ def collect_evidence(segments: LineSegments, surface: np.ndarray | None = None,
     votes = LINE_VOTE * np.sqrt(segments.lengths / FULL_LENGTH) / in_line
     lines = np.column_stack([normals, segments.midpoints, variance, votes])
     known = np.zeros((0, 3)) if surface is None else _surfaces(surface)
-    return _with_normal_error(Evidence(lines, known, log_odds_down=odds_down))
+    return _with_normal_error(Evidence(lines, known, log_odds_down=odds_down,
+                                       log_turned=log_turned))
 
 
 def log_odds_down(disparity: np.ndarray, surface: np.ndarray,
@@ -228,10 +244,33 @@ def log_odds_down(disparity: np.ndarray, surface: np.ndarray,
     else:
         share = np.mean(np.abs(known[:, 2]) > math.cos(math.radians(AHEAD_DEG)))
         usual = 2 * _normal(share / AHEAD_SPREAD) / AHEAD_SPREAD
-        if near > 0:
-            not_far = NormalDist(FAR_RATIO, FAR_SPREAD).cdf(far / near)
-            odds += math.log((1 - ANY_FAR) * not_far + ANY_FAR)
     return odds - min(math.log((1 - ANY_AHEAD) * usual + ANY_AHEAD), 0.0)
+
+
+def log_likelihood_of_turns(surface: np.ndarray) -> np.ndarray:
+    """
+    Return the log likelihoods (4,) that gravity points to each side of the image, at most 0.
+
+    Parameters
+    ----------
+    surface : (N, 3) floating
+        Normals of the depth, as for :func:`log_odds_down`.
+
+    Returns
+    -------
+    (4,) float64
+        Bottom, right, top and left; all 0 if there are no normals.
+
+    """
+    known = _some_known(surface)
+    if not len(known):
+        return np.zeros(4)
+    sides = known[:, 1::-1]  # towards the bottom, towards the right
+    facing = math.cos(math.radians(FACING_DEG))
+    shares = np.log(np.concatenate([(sides > facing).mean(axis=0),
+                                    (-sides > facing).mean(axis=0)]) + LEAST_SHARE)
+    log_sides = FLOOR_WEIGHT * shares - CEILING_WEIGHT * np.roll(shares, 2)
+    return log_sides - log_sides.max()
 
 
 def usual_inverse_depth(disparity: np.ndarray) -> np.ndarray:
@@ -452,8 +491,9 @@ def log_prior_density(downs: np.ndarray, expected: Expected, evidence: Evidence,
     if expected.down is None:
         off_deg = np.degrees(np.arccos(downs[:, 2].clip(-1, 1)))
         log_prior = np.logaddexp(
-            math.log(1 - LOOKING_DOWN) + _log_held(downs), math.log(LOOKING_DOWN)
-            + evidence.log_odds_down + _log_normal((off_deg, 0.0), (DOWN_DEG, DOWN_DEG)))
+            np.logaddexp.reduce(_log_held(downs) + np.reshape(evidence.log_turned, (4, 1))),
+            math.log(LOOKING_DOWN) + evidence.log_odds_down
+            + _log_normal((off_deg, 0.0), (DOWN_DEG, DOWN_DEG)))
     else:
         sigma_deg = math.hypot(expected.sigma_deg, error_deg)
         log_prior = _log_normal(_tilt_deg(downs @ turn_between(UPRIGHT, expected.down)),
@@ -471,20 +511,23 @@ def _grid(*axes: np.ndarray) -> np.ndarray:
 
 
 def is_held(downs: np.ndarray) -> np.ndarray:
-    """Return which verticals (V, 3), bool, the grid covers."""
+    """Return which verticals (V, 3), bool, a mounting has, within the range of the grid."""
     pitch_deg, roll_deg = _tilt_deg(downs)
     return ((np.abs(pitch_deg) <= MAX_PITCH_DEG + STEP_DEG / 2)
-            & (np.abs(roll_deg) <= MAX_ROLL_DEG + STEP_DEG / 2)
+            & (np.abs((roll_deg + 45) % 90 - 45) <= MAX_ROLL_DEG + STEP_DEG / 2)
             | (downs[:, 2] >= np.cos(np.radians(MAX_DOWN_DEG + STEP_DEG / 2))))
 
 
 def held_density(down: np.ndarray) -> float:
-    """Return the prior density of a vertical (3,) of a camera held upright, 1/sr."""
-    return float(np.exp(_log_held(down)))
+    """Return the prior density of a vertical (3,) of a camera that does not look down, 1/sr."""
+    return float(np.exp(_log_held(down[None])).sum())
 
 
 def _log_held(downs: np.ndarray) -> np.ndarray:
-    return _log_normal(_tilt_deg(downs), HELD_DEG)
+    """Return the log of the prior density (4, V) of turned cameras, 1/sr."""
+    pitch_deg, roll_deg = _tilt_deg(downs)
+    rolls_deg = (roll_deg - TURNS_DEG + 180) % 360 - 180
+    return LOG_SHARES + _log_normal((pitch_deg, rolls_deg), HELD_DEG)
 
 
 def _tilt_deg(downs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

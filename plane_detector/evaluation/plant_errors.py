@@ -121,7 +121,7 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
     'directions/gravity_choice.py': (
         ("' if measured is None", "' if measured is not None", 'wrong source of gravity'),),
     'directions/finder.py': (
-        ('None if image.has_shift else surface, odds', 'surface, odds',
+        ('None if image.has_shift else surface, *by', 'surface, *by',
          'normals at a guessed shift are evidence'),
         ('hold_time * self._hold_times', 'hold_time / self._hold_times',
          'the time of held lines inverted')),

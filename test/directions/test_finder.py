@@ -11,9 +11,14 @@ import pytest
 from plane_detector.config import Config, DirectionsConfig
 from plane_detector.directions import finder
 from plane_detector.directions.finder import CameraImage, DirectionFinder, find_in_image
-from plane_detector.directions.posterior import log_odds_down, usual_inverse_depth
+from plane_detector.directions.posterior import (
+    Expected,
+    log_likelihood_of_turns,
+    log_odds_down,
+    usual_inverse_depth,
+)
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
-from plane_detector.evaluation.scenes.rooms import attic, random_room
+from plane_detector.evaluation.scenes.rooms import attic, corridor, random_room
 from plane_detector.evaluation.scenes.textures import rolled_room, room_from_above, textured
 from plane_detector.types import CameraIntrinsics, Plane, Planes, PlaneSegmentation
 
@@ -42,8 +47,61 @@ def test_the_upright_of_a_still_camera_does_not_flicker(make, seed):
 def test_the_slopes_of_a_roof_do_not_outvote_floor_and_gable(seed):
     scene = textured(attic, seed)
     image = CameraImage(scene.rgb, scene.intrinsics, disparity=1 / scene.depth_m)
-    found = find_in_image(image).directions
+    found = find_in_image(image, Expected(np.array([0.0, 1.0, 0.0]))).directions
     assert found.gravity_camera @ scene.gravity_camera > np.cos(np.radians(1.0))
+
+
+def mounted(scene, turns):
+    """Return image and gravity of a camera that is turned by so many times 90 degrees."""
+    camera, gravity = scene.intrinsics, scene.gravity_camera
+    rgb, disparity = (np.ascontiguousarray(np.rot90(part, turns)) for part in (
+        scene.rgb, (1 / scene.depth_m).astype(np.float32)))
+    for _ in range(turns):
+        camera = CameraIntrinsics(camera.fy, camera.fx, camera.cy, camera.width - 1 - camera.cx,
+                                  camera.height, camera.width)
+        gravity = np.array([gravity[1], -gravity[0], gravity[2]])
+    return CameraImage(rgb, camera, disparity=disparity), gravity
+
+
+@pytest.mark.parametrize(('make', 'seeds', 'least', 'most_wrong'), [
+    (random_room, range(303, 308), 4, 0), (corridor, range(8006, 8010), 0, 1)])
+def test_hardly_a_vertical_is_wrong_because_nobody_stated_the_mounting(
+        make, seeds, least, most_wrong):
+    """A corridor on its side, seen from near a wall, looks like one seen from near the floor."""
+    upright = wrong = 0
+    for seed in seeds:
+        scene = textured(make, seed)
+        for turns in range(4):
+            image, gravity = mounted(scene, turns)
+            down = find_in_image(image).directions.gravity_camera
+            upright += down is not None and turns == 0
+            wrong += down is not None and down @ gravity < np.cos(np.radians(5))
+    assert upright >= least
+    assert wrong <= most_wrong
+
+
+@pytest.mark.parametrize('turns', [1, 2, 3])
+def test_a_stated_mounting_gives_the_vertical_of_a_turned_camera(turns):
+    image, gravity = mounted(textured(corridor, 8000), turns)
+    found = find_in_image(image, Expected(gravity)).directions
+    assert found.gravity_camera @ gravity > np.cos(np.radians(1))
+
+
+def test_depth_without_a_surface_leaves_the_mounting_open():
+    scene = textured(random_room, 300)
+    nothing = np.full(scene.depth_m.shape, np.nan, np.float32)
+    image = CameraImage(scene.rgb, scene.intrinsics, disparity=nothing)
+    assert find_in_image(image).directions.gravity_camera is None
+
+
+def test_gravity_points_to_what_faces_upwards():
+    floor, wall = np.tile([0.0, 1.0, 0.0], (40, 1)), np.tile([1.0, 0.0, 0.0], (20, 1))
+    seen = log_likelihood_of_turns(np.vstack([floor, wall, -wall]))
+    assert (seen[0], seen.argmin()) == (0, 2) and seen[1] == pytest.approx(seen[3])
+    assert log_likelihood_of_turns(-floor).argmax() == 2
+    tube = log_likelihood_of_turns(np.vstack([floor, -floor, wall, -wall]))
+    assert tube == pytest.approx(np.zeros(4), abs=1)
+    assert log_likelihood_of_turns(floor[:0]).tolist() == [0] * 4
 
 
 def tiles(roll_deg):
@@ -99,13 +157,6 @@ def test_a_surface_ahead_is_evidence_for_looking_down_and_its_absence_is_none():
     assert log_odds_down(disparity, aside) == pytest.approx(0, abs=1e-9)
 
 
-@pytest.mark.parametrize(('far', 'is_likely'), [(0.7, True), (0.2, False)])
-def test_from_above_nothing_is_five_times_as_far(far, is_likely):
-    disparity, aside = np.ones((48, 64), np.float32), np.tile([1.0, 0.0, 0.0], (9, 1))
-    disparity[:, 32:] = far  # no trend from top to bottom
-    assert (log_odds_down(disparity, aside) > 0) == is_likely
-
-
 def test_a_usual_shift_makes_the_near_tenth_twice_as_near_as_the_far_one():
     inverse = usual_inverse_depth(np.tile(np.linspace(-3.0, 5.0, 480)[:, None], (1, 640)))
     assert np.quantile(inverse, 0.1) / np.quantile(inverse, 0.9) == pytest.approx(0.43, abs=0.02)
@@ -113,8 +164,8 @@ def test_a_usual_shift_makes_the_near_tenth_twice_as_near_as_the_far_one():
 
 def test_normals_at_a_guessed_shift_are_no_evidence(monkeypatch):
     given, collect = [], finder.collect_evidence
-    monkeypatch.setattr(finder, 'collect_evidence', lambda segments, surface, odds_down: (
-        given.append(surface), collect(segments, surface, odds_down))[1])
+    monkeypatch.setattr(finder, 'collect_evidence', lambda segments, surface, *by_depth: (
+        given.append(surface), collect(segments, surface, *by_depth))[1])
     disparity = np.tile(np.linspace(0.2, 0.6, 480, dtype=np.float32)[:, None], (1, 640))
     for has_shift in (False, True):
         find_in_image(CameraImage(tiles(5), CAMERA, disparity=disparity, has_shift=has_shift))
@@ -125,7 +176,7 @@ def test_a_wall_ahead_with_a_floor_is_still_a_wall():
     scene = textured(random_room, 2007)  # most of it is within ten degrees of the image plane
     image = CameraImage(scene.rgb, scene.intrinsics, disparity=1 / scene.depth_m)
     found = find_in_image(image).directions
-    assert found.gravity_camera @ scene.gravity_camera > np.cos(np.radians(2))
+    assert found.modes.downs[0] @ scene.gravity_camera > np.cos(np.radians(2))
 
 
 def search_times(monkeypatch, turn_deg=0.0, is_still=True, is_trusted=True, hold_time=0.1):
