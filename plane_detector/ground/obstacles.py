@@ -74,9 +74,17 @@ def _is_flying(depth_m, v, u, dv, du, width, error):
 def mark_obstacles(depth_m, labels, ground, focal_px, error):
     """Return the pixels (H, W) of obstacles; ``error`` is that of 1/z."""
     height, width = depth_m.shape
-    found = np.zeros((height, width), np.bool_)
     steepest, error = np.float32(STEEPEST / focal_px), np.float32(np.sqrt(2) * error)
     nearest, endless = np.float32(MIN_DEPTH_M), np.float32(np.inf)
+    # Pixels of a surface, of a plane that is an obstacle, and others with depth.
+    of_pixels = np.empty((3, height, width), np.bool_)
+    surface, found, is_loose = of_pixels[0], of_pixels[1], of_pixels[2]
+    for v in range(height):
+        for u in range(width):
+            is_valid = (depth_m[v, u] >= nearest) & (depth_m[v, u] < endless)
+            surface[v, u] = ground[v, u] | (labels[v, u] >= 0)
+            found[v, u] = is_valid & surface[v, u] & (not ground[v, u])
+            is_loose[v, u] = is_valid & (not surface[v, u])
     # Runs of pixels of a row that may be a speck: first and last column, the patch they belong to,
     # by its first run, and of each patch its pixels and whether a surface is beside it.
     most = height * (width // 4 + 1)  # what exceeds it stays an obstacle
@@ -90,13 +98,10 @@ def mark_obstacles(depth_m, labels, ground, focal_px, error):
         above = row_of[v - 1] if v > 0 else 0
         is_open = False
         for u in range(width):
-            z = depth_m[v, u]
-            if ground[v, u] or not nearest <= z < endless:
+            if not is_loose[v, u]:
                 is_open = False
                 continue
-            if labels[v, u] >= 0:
-                found[v, u], is_open = True, False
-                continue
+            z = depth_m[v, u]
             left, right = depth_m[v, max(u - 1, 0)], depth_m[v, min(u + 1, width - 1)]
             upper, lower = depth_m[max(v - 1, 0), u], depth_m[min(v + 1, height - 1), u]
             if (_is_steep(left, z, right, steepest, error)
@@ -121,10 +126,9 @@ def mark_obstacles(depth_m, labels, ground, focal_px, error):
                 if not (0 <= u + du < width and 0 <= v + dv < height):
                     continue
                 other = depth_m[v + dv, u + du]
-                if ((ground[v + dv, u + du] or labels[v + dv, u + du] >= 0)
-                        and _is_beside(z, other, steepest, error)):
+                if surface[v + dv, u + du] and _is_beside(z, other, steepest, error):
                     is_held[run] = True
-            if v > 0 and found[v - 1, u] and labels[v - 1, u] < 0 and _is_beside(
+            if v > 0 and found[v - 1, u] and is_loose[v - 1, u] and _is_beside(
                     z, depth_m[v - 1, u], steepest, error):
                 while above < row_of[v] and end[above] < u:
                     above += 1
