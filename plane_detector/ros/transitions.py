@@ -88,13 +88,10 @@ class Transitions(Generic[Prepared]):
                     return by_rclpy(request, response)
                 response.success = await self.configure() == TransitionCallbackReturn.SUCCESS
             except RuntimeError as error:
-                self._refuse(error)
+                self._node.get_logger().error(f'transition refused: {error}')
                 response.success = False
             return response
         return answer
-
-    def _refuse(self, error: RuntimeError) -> None:
-        self._node.get_logger().error(f'transition refused: {error}')
 
 
 class Autostart:
