@@ -57,7 +57,8 @@ def _run(options: argparse.Namespace) -> int:
                                     f'{", ".join(NETWORKS)}')
         if not options.model_output:
             raise ValueError('--model-output must state the output of a network file')
-    photographs = folder_images(options.images, lens) if options.images else library_images()
+    photographs = (folder_images(options.images, lens) if options.images
+                   else library_images(only_measured=options.without_network))
     options.output.mkdir(parents=True, exist_ok=True)
     measured = [one for one in photographs if one.true_depth_m is not None]
     if measured:

@@ -70,9 +70,9 @@ class Photograph:
     remark: str = ''  # facts needed to judge the result
 
 
-def library_images() -> list[Photograph]:
-    """Return the photographs in scikit-image and, if it is installed, in scikit-learn."""
-    return [_motorcycle(), *([_temple()] if find_spec('sklearn') else [])]
+def library_images(only_measured: bool = False) -> list[Photograph]:
+    """Return the photograph with depth in scikit-image and, if it is installed, scikit-learn's."""
+    return [_motorcycle(), *([_temple()] if find_spec('sklearn') and not only_measured else [])]
 
 
 def folder_images(folder: Path, lens: Lens) -> list[Photograph]:

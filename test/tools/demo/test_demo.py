@@ -23,9 +23,10 @@ ROOT = Path(__file__).resolve().parents[3]
 
 
 @pytest.fixture(scope='module')
-def images():
+def motorcycle():
     pytest.importorskip('skimage', reason='scikit-image holds the motorcycle')
-    return {photograph.name: photograph for photograph in library_images()}
+    (photograph,) = library_images(only_measured=True)
+    return photograph
 
 
 @pytest.mark.parametrize('wrong', [
@@ -62,7 +63,7 @@ def test_ply_holds_the_valid_points(tmp_path):
     assert vertices[1]['blue'] == 108
 
 
-def test_demo_runs_the_node_over_dds(tmp_path, images):
+def test_demo_runs_the_node_over_dds(tmp_path, motorcycle):
     pytest.importorskip('rclpy')
     run = subprocess.run(
         [sys.executable, '-m', 'plane_detector.tools.demo', '--without-network', '--output',
@@ -72,7 +73,7 @@ def test_demo_runs_the_node_over_dds(tmp_path, images):
     assert run.stdout.startswith('With measured depth, as from a depth camera:')
     assert ' floor ' in run.stdout
     name = 'stereo_motorcycle_depth_topic'
-    rgb = images['stereo_motorcycle'].rgb
+    rgb = motorcycle.rgb
     figure = cv2.imread(str(tmp_path / f'{name}.png'))
     assert figure.shape[0] > 2 * rgb.shape[0]
     assert figure.shape[1] > 2 * rgb.shape[1]
@@ -82,7 +83,7 @@ def test_demo_runs_the_node_over_dds(tmp_path, images):
     assert float(floor['normal_y']) < -0.9
     assert 0.9 < float(floor['d']) < 1.2
     vertices = read_ply(tmp_path / f'{name}.ply')[1]
-    assert len(vertices) == np.isfinite(images['stereo_motorcycle'].true_depth_m).sum()
+    assert len(vertices) == np.isfinite(motorcycle.true_depth_m).sum()
     assert (vertices['label'] == int(floor['label'])).sum() == int(floor['num_inliers'])
 
 
@@ -98,9 +99,9 @@ def test_demo_is_quiet_when_it_is_ended(tmp_path):
     assert 'Traceback' not in printed
 
 
-def test_photographs_without_scikit_learn(monkeypatch, images):
+def test_photographs_without_scikit_learn(monkeypatch, motorcycle):
     monkeypatch.setitem(sys.modules, 'sklearn', None)
-    assert [one.name for one in library_images()] == ['stereo_motorcycle']
+    assert [one.name for one in library_images()] == [motorcycle.name]
 
 
 @pytest.mark.parametrize(('arguments', 'reason'), [
