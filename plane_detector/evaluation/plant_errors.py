@@ -171,10 +171,12 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
         ('self.offsets_m - normals', 'self.offsets_m + normals', 'sign of the translation'),
         ('-translation_m @ rotation', '-translation_m', 'covariance moved without the rotation')),
     'tracking/camera_motion.py': (
+        ('(min(max((rotation.trace', '(min(min((rotation.trace', 'any turn is as likely'),
         ('[-normals * typical_m', '[-normals / typical_m', 'translation in the wrong unit'),
         ('left[:, 2] *= -1', 'left[:, 2] *= 1', 'a mirror for a rotation'),
         ('left[:, 2] *= -1', 'left[:, 1] *= -1', 'a mirror mended by another axis')),
     'tracking/matching.py': (
+        ('spreads[k, 1] += cov', 'spreads[k, 2] += cov', 'normals without their errors'),
         ('exp(-apart_m2 / small_m2)', 'exp(-apart_m2 * small_m2)',
          'large planes are near each other less'),
         ('variance += 2 *', 'variance -= 2 *', 'sign of a mixed covariance'),

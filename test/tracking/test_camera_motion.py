@@ -51,6 +51,14 @@ def test_a_wrong_pair_does_not_turn_the_camera():
     assert np.degrees(np.linalg.norm(cv2.Rodrigues(motion.rotation)[0])) < 1.0
 
 
+def test_errors_of_nearly_parallel_planes_hardly_turn_the_camera():
+    """Of .2 degrees, between normals 6 degrees apart: they alone would turn it by 4.6."""
+    before, after = (planes(*(([x, error * x, -1], 4.0) for x in (-0.05, 0.05)))
+                     for error in (0.0, 0.08))
+    motion = estimate_motion(before, after, 2 * (np.arange(2),), np.ones(2))
+    assert motion.rotation == pytest.approx(np.eye(3), abs=0.02)
+
+
 def test_errors_of_pieces_of_a_wall_do_not_mirror_the_camera():
     """Four pieces, tilted up or down by 1.7 degrees, each the other way after a step ahead."""
     before, after = (planes(*(([x, up * y, -1], offset_m) for x in (-0.2, 0.2)

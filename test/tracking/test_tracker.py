@@ -202,6 +202,10 @@ def test_a_plane_that_may_turn_about_its_centroid_is_as_far_there_as_one_that_ma
     found = compare(Planes.of([unsure]), Planes.of([sure]), np.ones(1))[0].item()
     off = 0.3 / np.linalg.norm(centroid_m)
     assert found == pytest.approx(off**2 / 2 / 0.03**2, rel=0.01)
+    normal = np.array([np.sin(0.3), 0.0, -np.cos(0.3)])
+    turned = replace(sure, normal=normal, offset_m=-normal @ centroid_m)
+    found = compare(Planes.of([unsure]), Planes.of([turned]), np.ones(1))[0].item()
+    assert found == pytest.approx(0.3**2 / (np.radians(10.0) ** 2 + 2 * 0.1**2))
 
 
 def test_the_nearness_of_centroids_is_by_the_smaller_size():
