@@ -197,6 +197,8 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
         ('inverse[:, None], self', '1.0, self', 'off the plane, not along gravity'),
         ('(down[2], -1, 1)', '(down[1], -1, 1)', 'tilt about the wrong axis')),
     'ground/along_ways.py': (
+        ('planes[a, 3]) <= max_step', 'planes[a, 3]) >= max_step',
+         'planes that meet are apart'),
         ('else z * _far(down, x, y)', 'else z * sight', 'down for ahead'),
         ('min(-off, under)', 'min(off, under)', 'higher for lower'),
         ('x_end * end_z[w], y_end * end_z[w]', 'x_end, y_end', 'edges without their distance'),

@@ -29,7 +29,7 @@ from plane_detector.evaluation.scenes.terrain import (
 from plane_detector.evaluation.scenes.terrain import terrain as random_terrain
 from plane_detector.ground.ground import find_ground
 from plane_detector.planes.classification import PlaneClass
-from plane_detector.types import NO_PLANES, PlaneSegmentation
+from plane_detector.types import NO_PLANES, CameraIntrinsics, PlaneSegmentation
 
 MEASURED = Config(depth=DepthConfig(source='topic'))
 FROM_ABOVE = View(1.0, 25.0, roll_deg=3.0)
@@ -90,6 +90,20 @@ def test_a_ramp_and_the_level_behind_it_are_ground(sign):
     assert class_of(found, terrain, Kind.FLOOR) == PlaneClass.FLOOR
     assert class_of(found, terrain, Kind.RAMP) == PlaneClass.RAMP
     assert off_edges_m(found, terrain).max(initial=0.0) < 0.1
+
+
+def test_a_slope_beside_the_robot_is_ground():
+    """It rises by 8 degrees from below the camera on: no way leads from the level to the slope."""
+    camera, down = CameraIntrinsics(525.0, 525.0, 319.5, 239.5, 640, 480), np.radians(25.0)
+    v, u = np.mgrid[:480, :640]
+    x, y = (u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy
+    fall = np.cos(down) * y + np.sin(down)  # of a ray at depth 1
+    least = np.maximum(np.maximum(fall, fall + np.tan(np.radians(8.0)) * x), 1 / 8)
+    inverse = least + np.random.default_rng(0).normal(0, 0.001, x.shape)
+    depth_m = np.where(least > 1 / 8, 1 / inverse, np.nan).astype(np.float32)
+    found = PlaneDetector(MEASURED).detect(np.full((480, 640, 3), 128, np.uint8), camera, depth_m,
+                                           np.array([0.0, np.cos(down), np.sin(down)]))
+    assert found.ground[np.isfinite(depth_m)].mean() > 0.98
 
 
 @pytest.mark.parametrize('name, seed', [('ramp up', 107), ('ramp up', 113), ('ramp down', 110)])
