@@ -82,6 +82,8 @@ class Observation:
 
     def with_values(self, values: np.ndarray) -> Observation:
         """Return the observation with other values (H, W), of the same kind."""
+        if values is self.prediction.values:
+            return self
         return replace(self, prediction=replace(self.prediction, values=values))
 
     def restricted_to(self, covered: np.ndarray) -> Observation:

@@ -141,15 +141,16 @@ class Noise:
         is_exact = self.mean_sigma**2 < self.variance_floor(disparity)
         return DepthKind.EXACT if is_exact else DepthKind.MEASURED
 
-    def with_smooth_part(self, mean_sigma: float, slope_sigma: float) -> Noise:
-        """Return the noise with these deviations, bounded below by those of the source."""
+    def with_smooth_part(self, mean_sigma: float, slope_sigma: float, **others: float) -> Noise:
+        """Return the noise with these deviations, the first two at least those of the source."""
         return replace(self, mean_sigma=max(float(mean_sigma), self.source_sigma),
-                       slope_sigma=max(float(slope_sigma), SLOPE_PER_NOISE * self.source_sigma))
+                       slope_sigma=max(float(slope_sigma), SLOPE_PER_NOISE * self.source_sigma),
+                       **others)
 
     def with_bending(self, bending: float) -> Noise:
         """Return the noise of a sensor that bends planes; the noise so far is without."""
-        bent = self.with_smooth_part(bending * self.mean_sigma, bending * self.slope_sigma)
-        return replace(bent, bending=bending)
+        return self.with_smooth_part(bending * self.mean_sigma, bending * self.slope_sigma,
+                                     bending=bending)
 
     def from_cells(self, deviations: tuple[float, float, float], sparsity: np.ndarray) -> Noise:
         """
@@ -163,7 +164,7 @@ class Noise:
             mean_sigma, slope_sigma = (
                 max(sigma**2 - pixel_sigma**2 * median(added), 0.0) ** 0.5
                 for sigma, added in zip((mean_sigma, slope_sigma), sparsity.T, strict=True))
-        return replace(self, pixel_sigma=pixel_sigma).with_smooth_part(mean_sigma, slope_sigma)
+        return self.with_smooth_part(mean_sigma, slope_sigma, pixel_sigma=pixel_sigma)
 
     def rescaled(self, scale: float) -> Noise:
         """
