@@ -55,7 +55,7 @@ def test_floors_and_walls_of_a_network_are_turned_upright():
 
 def test_exact_planes_of_a_small_image_do_not_move():
     camera = CameraIntrinsics.from_field_of_view(160, 120, 62.0)
-    for make, seed in ((random_room, 300), (ramp_room, 310)):
+    for make, seed in ((random_room, 303), (ramp_room, 310)):
         scene = textured(make, seed, camera)
         model = DepthFunction(lambda rgb, depth=scene.depth_m: depth.astype(np.float32),
                               'metric_depth', 0)

@@ -45,6 +45,10 @@ MIN_PROBABILITY = 0.9
 # the angle up to which it does not. tuned: rooms whose floor rises by 8 degrees, seeds 300 to 311:
 # at 0.05 three of 11 answers are wrong, at 0.1 one of 10.
 RISING, RISES_DEG, LEVEL_DEG = 0.1, np.arange(-14.0, 15.0, 2.0), 3.0
+# Share of the images under a roof, of whose axes one is the ridge and two are the slopes, and the
+# angles of slopes. chosen: the share; a ridge ahead is else taken for the vertical of a camera
+# that looks down between two walls.
+ROOF, ROOF_DEG = 0.02, np.arange(30.0, 61.0, 7.5)
 # Share of the images whose upright lines are those of a thing that leans. derived: above what the
 # probability of an answer leaves, so that upright lines alone are not enough; with other lines
 # flat from 0.05 to 0.3.
@@ -146,7 +150,15 @@ def _likely_vertical(axes: np.ndarray, evidence: Evidence,
         return axes, 1.0
     score = log_prior_density(named[:, 0], expected, evidence, FINE_ERROR_DEG)
     mass = np.exp(score - score.max())
-    return named[mass.argmax()], float(mass.max() / mass.sum())
+    under_roof = 0.0
+    if len(evidence.normals):
+        slope = np.radians(ROOF_DEG)[:, None]
+        downs = np.concatenate([
+            first * np.cos(slope) * axes[k] + second * np.sin(slope) * axes[k - 1]
+            for k in range(3) for first in (1, -1) for second in (1, -1)])
+        density = log_prior_density(downs, expected, evidence, FINE_ERROR_DEG)
+        under_roof = ROOF * np.exp(density - score.max()).sum() / len(slope)
+    return named[mass.argmax()], float(mass.max() / (mass.sum() + under_roof))
 
 
 def _shared(modes: Modes, axes: np.ndarray, share: float) -> Modes:

@@ -51,6 +51,14 @@ def test_the_slopes_of_a_roof_do_not_outvote_floor_and_gable(seed):
     assert found.gravity_camera @ scene.gravity_camera > np.cos(np.radians(1.0))
 
 
+@pytest.mark.parametrize('seed', [307, 310])
+def test_the_ridge_of_a_roof_is_not_surely_the_vertical(seed):
+    """Two slopes and a gable look like two walls and a floor from above."""
+    scene = textured(attic, seed)
+    image = CameraImage(scene.rgb, scene.intrinsics, disparity=1 / scene.depth_m)
+    assert find_in_image(image).directions.probability < 0.92  # was .94 and 1.00
+
+
 def mounted(scene, turns):
     """Return image and gravity of a camera that is turned by so many times 90 degrees."""
     camera, gravity = scene.intrinsics, scene.gravity_camera
@@ -123,7 +131,8 @@ def test_a_table_from_above_is_not_surely_a_wall(roll_deg, has_depth):
 
 
 def test_a_camera_that_looks_straight_down_is_found_at_any_azimuth():
-    found = find_in_image(CameraImage(tiles(45), CAMERA)).directions
+    below = np.full((480, 640), 1.25, np.float32)
+    found = find_in_image(CameraImage(tiles(45), CAMERA, disparity=below)).directions
     assert found.gravity_camera[2] > np.cos(np.radians(5))
     wrong = right = 0
     for seed in range(300, 308):
