@@ -46,8 +46,9 @@ MIN_PROBABILITY = 0.9
 # at 0.05 three of 11 answers are wrong, at 0.1 one of 10.
 RISING, RISES_DEG, LEVEL_DEG = 0.1, np.arange(-14.0, 15.0, 2.0), 3.0
 # Share of the images under a roof, of whose axes one is the ridge and two are the slopes, and the
-# angles of slopes. chosen: the share; a ridge ahead is else taken for the vertical of a camera
-# that looks down between two walls.
+# angles of slopes. tuned: attics with exact depth, seeds 300 to 323, whose ridge is else taken for
+# the vertical of a camera that looks down between two walls: all 5 wrong answers are refused, one
+# just so. Of 56 real frames 38 are answered, 41 without, 36 at 0.025.
 ROOF, ROOF_DEG = 0.02, np.arange(30.0, 61.0, 7.5)
 # Share of the images whose upright lines are those of a thing that leans. derived: above what the
 # probability of an answer leaves, so that upright lines alone are not enough; with other lines
