@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from plane_detector.compilation import compile_kernels
+from plane_detector.compilation import _KERNELS, compile_kernels
 from plane_detector.evaluation.scenes.rooms import box, camera_rotation, random_room, render
 
 pytest.register_assert_rewrite('node_helpers', 'replay_helpers')
@@ -33,8 +33,7 @@ def compiled(request):
         return
     import plane_detector.pipeline
     import plane_detector.ros.outputs.topics  # noqa: F401 - these bring the kernels
-    compile_kernels(('ros', 'drawing', 'geometry', 'segmentation', 'directions', 'planes',
-                     'ground', 'network', 'shapes', 'mapping'))
+    compile_kernels({one.subject for one in _KERNELS})
 
 
 @lru_cache(maxsize=16)

@@ -21,7 +21,7 @@ import pytest
 import rclpy
 import sensor_msgs
 from map_helpers import map_plane
-from ros_helpers import cloud_array, header, random_domain
+from ros_helpers import cloud_array, header, next_domain
 
 from plane_detector.geometry.rigid_transform import RigidTransform
 from plane_detector.mapping.map_plane import as_planes
@@ -50,7 +50,7 @@ def listener(monkeypatch):
     source = (EXAMPLES / 'plane_listener.py').read_text('utf-8')
     names = {'__name__': 'example'}
     exec(compile(source, 'plane_listener.py', 'exec'), names)
-    rclpy.init(domain_id=random_domain())
+    rclpy.init(domain_id=next_domain())
     yield names
     rclpy.try_shutdown()
 

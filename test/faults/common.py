@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 from onnx_models import millimetres_as_rgb, network_arguments, write_depth_network
-from ros_helpers import STARTED_S, NodeProcess, Robot, camera_info_msg, image_msg, random_domain
+from ros_helpers import STARTED_S, NodeProcess, Robot, camera_info_msg, image_msg, next_domain
 
 from plane_detector.evaluation.scenes.rooms import random_room
 from plane_detector.ros.outputs.topics import OUTPUTS
@@ -76,7 +76,7 @@ class FedNode:
     def __init__(self, folder: Path, arguments: list[str], outputs: tuple[str, ...] = ()):
         os.environ['FASTRTPS_DEFAULT_PROFILES_FILE'] = str(
             ROOT / 'config' / 'fastdds_large_messages.xml')
-        domain = random_domain()
+        domain = next_domain()
         self.robot = Robot(outputs=(), domain=domain)
         self.heard = dict.fromkeys(outputs, 0)
         for name in outputs:

@@ -6,13 +6,14 @@ from __future__ import annotations
 
 import array
 import os
-import random
 import subprocess
 import sys
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import cache
+from itertools import cycle
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,7 @@ from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 from std_msgs.msg import Header
 from visualization_msgs.msg import MarkerArray
 
+from plane_detector.tools.private_domain import private_domain
 from plane_detector.types import CameraIntrinsics
 
 OUTPUT_TYPES = {'points': PointCloud2, 'points_without_floor': PointCloud2, 'planes': PointCloud2,
@@ -94,17 +96,21 @@ def image_array(msg: Image, dtype: str, channels: int = 1) -> np.ndarray:
     return np.frombuffer(msg.data, dtype).reshape(msg.height, msg.width, channels)
 
 
-def random_domain() -> int:
-    """Return a domain of DDS that other tests on this machine are not likely to use."""
-    os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
-    return random.SystemRandom().randint(1, 100)
+@cache
+def _domains() -> Iterator[int]:
+    return cycle([private_domain() for _ in range(8)])
+
+
+def next_domain() -> int:
+    """Return a domain of DDS that no other process has, and no test shortly before had."""
+    return next(_domains())
 
 
 @contextmanager
 def bare_node(name: str, arguments: tuple[str, ...] = (), **options: Any) -> Iterator[Node]:
     """Yield a node of rclpy in a context of its own, with arguments of ROS or overrides."""
     context = rclpy.Context()
-    rclpy.init(context=context, domain_id=random_domain())
+    rclpy.init(context=context, domain_id=next_domain())
     node = Node(name, context=context, cli_args=['--ros-args', *arguments], **options)
     try:
         yield node
@@ -120,7 +126,7 @@ class Robot:
                  log_file: Path | None = None):
         self.log_file = log_file
         self.context = rclpy.Context()
-        rclpy.init(context=self.context, domain_id=domain or random_domain())
+        rclpy.init(context=self.context, domain_id=domain or next_domain())
         self.executor = SingleThreadedExecutor(context=self.context)
         self.node = Node('robot', context=self.context)
         self.executor.add_node(self.node)

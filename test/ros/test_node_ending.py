@@ -18,7 +18,7 @@ from ros_helpers import (
     camera_info_msg,
     header,
     image_msg,
-    random_domain,
+    next_domain,
 )
 from slow_networks import HEIGHT, WIDTH, write_slow_network
 
@@ -103,7 +103,7 @@ def started(tmp_path):
 
     def begin(*kinds):
         for number, kind in enumerate(kinds):
-            domain, name = random_domain(), f'node_{number}'
+            domain, name = next_domain(), f'node_{number}'
             path = write_slow_network(tmp_path / f'{name}.onnx', **kind)
             begun.append(NodeProcess(network_arguments(path), domain, tmp_path / f'{name}.log'))
             robots.append(Robot(outputs=('planes',), domain=domain))

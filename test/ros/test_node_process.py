@@ -18,7 +18,7 @@ from ros_helpers import (
     cloud_array,
     header,
     image_msg,
-    random_domain,
+    next_domain,
 )
 
 from plane_detector.evaluation.scenes.rooms import random_room
@@ -30,7 +30,7 @@ ROOT = Path(__file__).resolve().parents[2]
 def domain(monkeypatch):
     monkeypatch.setenv('FASTRTPS_DEFAULT_PROFILES_FILE',
                        str(ROOT / 'config' / 'fastdds_large_messages.xml'))
-    return random_domain()
+    return next_domain()
 
 
 @pytest.fixture

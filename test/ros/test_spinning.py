@@ -53,8 +53,8 @@ STUCK = 'end(); time.sleep(1000)'
 
 
 def run_program(program, **variables):
-    from ros_helpers import random_domain
-    environment = {**os.environ, 'ROS_DOMAIN_ID': str(random_domain()), **variables}
+    from ros_helpers import next_domain
+    environment = {**os.environ, 'ROS_DOMAIN_ID': str(next_domain()), **variables}
     return subprocess.run([sys.executable, '-c', program], env=environment, capture_output=True,
                           text=True, timeout=STUCK_S, check=False)
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from node_helpers import assert_true_to, send, small_room
-from ros_helpers import STARTED_S, NodeProcess, Robot, cloud_array, random_domain
+from ros_helpers import STARTED_S, NodeProcess, Robot, cloud_array, next_domain
 
 ROOT = Path(__file__).resolve().parents[2]
 HIDDEN = "import sys; sys.modules.update(dict.fromkeys(('onnxruntime', 'rosbags')))"
@@ -36,7 +36,7 @@ def collecting(hidden):
 
 
 def test_planes_from_measured_depth(hidden):
-    domain = random_domain()
+    domain = next_domain()
     node = NodeProcess(['-p', 'depth.source:=topic'], domain, hidden / 'node.log')
     robot = Robot(outputs=('points', 'planes'), domain=domain)
     try:
@@ -54,7 +54,7 @@ def test_planes_from_measured_depth(hidden):
 
 
 def test_a_network_without_its_runtime_is_explained(hidden):
-    domain = random_domain()
+    domain = next_domain()
     node = NodeProcess(['-p', 'depth.model:=fastdepth'], domain, hidden / 'network.log')
     try:
         node.wait_until(lambda: 'onnxruntime' in node.log() and node.process.poll() is not None)

@@ -45,6 +45,7 @@ from plane_detector.process import retain_freed_memory
 from plane_detector.ros.calibration import camera_info_to_msg
 from plane_detector.ros.outputs import messages
 from plane_detector.ros.outputs.topics import OUTPUTS
+from plane_detector.tools.private_domain import private_domain
 
 NODE = 'plane_detector'
 _PROFILE = Path(__file__).resolve().parents[3] / 'config' / 'fastdds_large_messages.xml'
@@ -127,8 +128,7 @@ def use_private_domain() -> None:
     Must be called before rclpy.init(). Other ROS nodes, on this machine or in the network, are not
     affected and do not interfere. Fast DDS settings of the user are kept.
     """
-    os.environ['ROS_DOMAIN_ID'] = str(1 + os.getpid() % 100)  # above 101 ports may clash
-    os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
+    os.environ['ROS_DOMAIN_ID'] = str(private_domain())
     os.environ.setdefault('FASTRTPS_DEFAULT_PROFILES_FILE', str(_PROFILE))
 
 
@@ -286,6 +286,9 @@ class Camera:
         self._spin_until(lambda: not self._receiver.outputs
                          or self._node.count_subscribers(f'{NODE}/planes'))
         self._node.create_timer(1 / self._rate_hz, self._publish)
+        # The first start compiles some loops after the node is active.
+        self._spin_until(lambda: not self._receiver.outputs or self._receiver.taken()
+                         or self._statuses and self._statuses[-1].get('last_error'))
         self._spin(_SETTLING_S)
         self._receiver.taken()
         self._statuses.clear()
@@ -313,7 +316,7 @@ class Camera:
         deadline_s = time.monotonic() + _START_TIMEOUT_S
         while not condition():
             if time.monotonic() > deadline_s:
-                raise RuntimeError(f'the node was not active within {_START_TIMEOUT_S:g} s')
+                raise RuntimeError(f'the node gave nothing within {_START_TIMEOUT_S:g} s')
             self._spin(_SPIN_S)
 
     def _spin(self, seconds: float) -> float:

@@ -4,11 +4,9 @@
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from itertools import count
 from typing import Any
 
 import numpy as np
@@ -29,6 +27,7 @@ from plane_detector.ros.outputs.messages import depth_to_msg, read_cloud, rgb_to
 from plane_detector.scale.estimate import RELATIVE
 from plane_detector.stopping import raise_if_stopped
 from plane_detector.tools.demo.photographs import Photograph
+from plane_detector.tools.private_domain import private_domain
 
 _INPUTS = {'camera_info': CameraInfo, 'depth': Image, 'image': Image}
 _OUTPUTS = {'points': PointCloud2, 'planes': PointCloud2, 'depth': Image}
@@ -36,8 +35,6 @@ _START_S, _FRAME_S = 600.0, 60.0  # the first start compiles and downloads
 _INTRODUCTION_S = 0.3
 _PERIOD_S = 0.3  # at a higher rate, the pause between photographs would count as lost images
 _MEASURED_FRAMES = 10
-# Each has a domain of its own: the node of the one before is still known there for a while.
-_SESSIONS = count()
 
 
 @dataclass(frozen=True)
@@ -64,10 +61,9 @@ class Session:
     """
 
     def __init__(self, parameters: Mapping[str, Any]) -> None:
-        # Of other ROS nodes in the network nothing is wanted, and nothing must disturb them.
-        os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
         self._context = rclpy.Context()
-        rclpy.init(context=self._context, domain_id=1 + (os.getpid() + next(_SESSIONS)) % 100,
+        # Another one each: the node of the session before is still known there for a while.
+        rclpy.init(context=self._context, domain_id=private_domain(),
                    signal_handler_options=SignalHandlerOptions.NO)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._camera = Node('demo', context=self._context)

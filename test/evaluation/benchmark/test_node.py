@@ -30,8 +30,7 @@ def rows(printed):
 
 @pytest.fixture
 def ros(monkeypatch):
-    for name in ('ROS_DOMAIN_ID', 'ROS_AUTOMATIC_DISCOVERY_RANGE',
-                 'FASTRTPS_DEFAULT_PROFILES_FILE'):
+    for name in ('ROS_DOMAIN_ID', 'FASTRTPS_DEFAULT_PROFILES_FILE'):
         monkeypatch.setenv(name, os.environ.get(name, ''))  # restored after the test
     monkeypatch.delenv('FASTRTPS_DEFAULT_PROFILES_FILE')
     use_private_domain()
