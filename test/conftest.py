@@ -7,6 +7,7 @@ What needs ROS is imported where it is used: the core is tested without.
 """
 
 import os
+import signal
 from contextlib import nullcontext
 from functools import lru_cache
 from pathlib import Path
@@ -19,6 +20,8 @@ from plane_detector.evaluation.scenes.rooms import box, camera_rotation, random_
 
 pytest.register_assert_rewrite('node_helpers', 'replay_helpers')
 REPOSITORY = Path(__file__).resolve().parents[1]
+# A shell lets what it starts in the background ignore SIGINT, and so would the tests' processes.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 # These read sources and documents, for which no loop need be compiled.

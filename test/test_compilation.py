@@ -109,8 +109,8 @@ def test_a_helper_runs_nothing_out_of_the_working_directory(sample, tmp_path):
 def test_a_helper_that_fails_is_reported(sample):
     """And the loops are compiled all the same."""
     printed = sample(0, '+', before='compilation._HELPER = "raise SystemError(1234)"')
-    assert 'a process that helps has failed, so that compiling takes longer: ' in printed[1]
-    assert 'SystemError: 1234' in printed[1]
+    assert ('a process that helps has failed, so that compiling takes longer: SystemError: 1234'
+            in printed)
     assert printed[-1] == '11.0'
 
 
@@ -223,8 +223,8 @@ def test_other_threads_run_beside_a_kernel_unless_it_is_short(is_short, folder, 
         during.append(len(turns) - before)
     ended.set()
     thread.join()
-    # On a busy machine the thread may also take turns before and after the kernel.
-    assert (min(during) <= 1) == is_short, during
+    # On a busy machine the thread may take turns before and after the kernel, or none at all.
+    assert min(during) <= 1 if is_short else max(during) > 3, during
 
 
 def last_of_sequence(steps):

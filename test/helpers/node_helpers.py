@@ -43,6 +43,12 @@ def send(robot, scene, stamp_s=1.0, depth=False):
     robot.publish('image', image_msg(scene.rgb, 'rgb8', stamp_s))
 
 
+def points_and_planes(robot):
+    """Return points and planes of an image of which both have been received; None without any."""
+    return next(((points, planes) for planes in robot.received['planes']
+                 for points in robot.received['points'] if points.header == planes.header), None)
+
+
 def assert_true_to(scene, planes, labels):
     """Check planes and labels against a rendered scene."""
     table = cloud_array(planes)[0]

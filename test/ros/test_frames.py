@@ -21,7 +21,7 @@ pytest.importorskip('rclpy')
 from plane_detector.ros.frame_worker import FrameWorker
 from plane_detector.stopping import current_stop, raise_if_stopped
 
-STUCK_S = 20.0
+STUCK_S = 120.0
 
 
 class Work:

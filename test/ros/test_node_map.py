@@ -87,8 +87,9 @@ def test_a_map_that_was_made_before_clear_is_not_published_after_it(robot, tmp_p
     node = odometry.node
     late = node._live_map.view(header(1.0).stamp)
     assert trigger(robot, 'clear').success
+    assert robot.spin(lambda: robot.received['map'][-1].width == 0)
     node._map.publish(late)
-    robot.spin(timeout_s=0.5)
+    robot.spin(timeout_s=0.3)
     assert robot.received['map'][-1].width == 0
 
 
@@ -98,11 +99,13 @@ def test_a_click_beside_the_image_is_answered_from_the_map(robot, tmp_path):
     show(robot, odometry, 1.0, 1)
     show(robot, odometry, 1.1, 2)
     row = cloud_array(robot.wait_for('map')[-1])[0][0]
+    # Only then nothing is left to do for the image that shows the point.
+    assert robot.spin(lambda: robot.diagnosis()[1]['frames_processed'] == '2')
     click = PointStamped()
     click.header.frame_id = 'odom'
     click.point.x, click.point.y, click.point.z = (float(row[axis]) for axis in 'xyz')
     robot.publish('clicked_point', click)
-    robot.spin(timeout_s=0.3)
+    robot.settle()
     show(robot, odometry, 1.2, 3, turn_deg=180.0)  # the camera looks the other way
     assert robot.is_logged(f'clicked point: plane {row["label"]} of the map')
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from node_helpers import assert_true_to
+from node_helpers import assert_true_to, points_and_planes
 from onnx_models import millimetres_as_rgb, network_arguments, write_depth_network
 from ros_helpers import (
     STARTED_S,
@@ -71,15 +71,15 @@ def test_planes_through_a_network_over_dds(start, robot, tmp_path):
     for stamp_s in range(20):  # until both ends of every topic have found each other
         robot.publish('camera_info', camera_info_msg(room.intrinsics, stamp_s))
         robot.publish('image', image_msg(image, 'rgb8', stamp_s))
-        if robot.spin(lambda: robot.received['points'] and robot.received['planes'], 1.0):
+        if robot.spin(lambda: points_and_planes(robot), 1.0):
             break
-    points = robot.wait_for('points')[-1]
-    assert robot.spin(lambda: robot.wait_for('planes')[-1].header == points.header)
+    assert robot.spin(lambda: points_and_planes(robot)), node.log()
+    points, planes = points_and_planes(robot)
     assert points.header in [header(stamp_s) for stamp_s in range(20)]
     cloud = cloud_array(points)
     assert cloud.shape == (480, 640)
     np.testing.assert_allclose(cloud['z'], room.depth_m, atol=0.001)
-    assert_true_to(room, robot.received['planes'][-1], cloud['label'])
+    assert_true_to(room, planes, cloud['label'])
     assert diagnosis(robot, node)[1]['depth_model'] == str(model)
     for stamp_s in range(20, 25):
         robot.publish('image', image_msg(image, 'rgb8', stamp_s))

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from node_helpers import assert_true_to, send, small_room
+from node_helpers import assert_true_to, points_and_planes, send, small_room
 from ros_helpers import STARTED_S, NodeProcess, Robot, cloud_array, next_domain
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -42,9 +42,10 @@ def test_planes_from_measured_depth(hidden):
     try:
         for stamp_s in range(int(STARTED_S)):  # until the node is there and has been found
             send(robot, small_room(), stamp_s, depth=True)
-            if robot.spin(lambda: robot.received['points'] and robot.received['planes'], 1.0):
+            if robot.spin(lambda: points_and_planes(robot), 1.0):
                 break
-        points, planes = (robot.wait_for(name)[-1] for name in ('points', 'planes'))
+        assert robot.spin(lambda: points_and_planes(robot)), node.log()
+        points, planes = points_and_planes(robot)
         assert_true_to(small_room(), planes, cloud_array(points)['label'])
         assert robot.diagnosis()[1]['depth_model'] == 'the depth topic, no network'
     finally:

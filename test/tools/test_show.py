@@ -147,11 +147,13 @@ def test_the_frame_is_that_of_the_camera(robot):
     node = Node('viewer', context=robot.context)
     publisher = robot.node.create_publisher(type(camera_info_msg(CAMERA)), 'camera_info', 1)
     robot.node.create_timer(0.05, lambda: publisher.publish(camera_info_msg(CAMERA)))
-    thread = threading.Thread(target=robot.spin, kwargs={'timeout_s': 3.0})
+    is_over = threading.Event()
+    thread = threading.Thread(target=robot.spin, args=(is_over.is_set,))
     thread.start()
     try:
-        found = rviz.wait_for_frame(node, 10.0)
+        found = rviz.wait_for_frame(node, 60.0)
     finally:
+        is_over.set()
         thread.join()
         node.destroy_node()
     assert found == 'camera_optical_frame'
