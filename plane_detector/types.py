@@ -74,6 +74,11 @@ class CameraIntrinsics:
                     f'{self.height} image, {least * side:g} to {most * side:g} px can: calibrate '
                     'the camera again, or correct its CameraInfo')
 
+    @property
+    def matrix(self) -> np.ndarray:
+        """Camera matrix K, (3, 3) float64."""
+        return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1]], float)
+
     @classmethod
     def from_field_of_view(cls, width: int, height: int, horizontal_deg: float):
         """

@@ -136,10 +136,9 @@ class OpenCv(Method):
     def _estimator(self, intrinsics: CameraIntrinsics) -> Any:
         """Return the estimator of normals, cached per camera because it computes tables."""
         if self._normals is None or self._normals[0] != intrinsics:
-            matrix = np.array([[intrinsics.fx, 0, intrinsics.cx],
-                               [0, intrinsics.fy, intrinsics.cy], [0, 0, 1]], np.float32)
             self._normals = intrinsics, cv2.RgbdNormals.create(
-                intrinsics.height, intrinsics.width, cv2.CV_32F, matrix, 5, 50.0,
+                intrinsics.height, intrinsics.width, cv2.CV_32F,
+                intrinsics.matrix.astype(np.float32), 5, 50.0,
                 cv2.RgbdNormals_RGBD_NORMALS_METHOD_FALS)
         return self._normals[1]
 

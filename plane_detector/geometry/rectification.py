@@ -15,6 +15,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from plane_detector.types import CameraIntrinsics
+
 # chosen: rounded to two digits, a rotation is still one.
 _MOST_OFF_ROTATION = 0.05
 _COEFFICIENTS = {'plumb_bob': (4, 5), 'rational_polynomial': (8, 12, 14), 'equidistant': (4,)}
@@ -152,11 +154,9 @@ class Reduction:
             return rgb
         return cv2.resize(rgb, self.new_size, interpolation=cv2.INTER_AREA)
 
-    def matrix(self, camera_matrix: np.ndarray) -> np.ndarray:
-        """Return the camera matrix (3, 3) for the new size; pixel centres have integer values."""
-        reduced = camera_matrix.astype(float)
-        for row, (old, new) in enumerate(zip(self.old_size, self.new_size, strict=True)):
-            # The left edge of the image is at -0.5 in both sizes.
-            reduced[row] *= new / old
-            reduced[row, 2] += 0.5 * (new / old - 1)
-        return reduced
+    def camera(self, full: CameraIntrinsics) -> CameraIntrinsics:
+        """Return the camera of images of the new size."""
+        by_x, by_y = (new / old for old, new in zip(self.old_size, self.new_size, strict=True))
+        # The left edge of the image is at -0.5 in both sizes.
+        return CameraIntrinsics(full.fx * by_x, full.fy * by_y, full.cx * by_x + 0.5 * (by_x - 1),
+                                full.cy * by_y + 0.5 * (by_y - 1), *self.new_size)

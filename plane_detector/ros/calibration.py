@@ -38,7 +38,7 @@ def camera_info_to_msg(header: Header, intrinsics: CameraIntrinsics,
 
 def intrinsics_from_msg(msg: CameraInfo, rectified: bool = False) -> CameraIntrinsics:
     """
-    Return the pinhole model of the image that a CameraInfo belongs to: P if rectified, else K.
+    Return the pinhole model of the image that is sent: by P, if it is rectified and has one, or K.
 
     Binning and region of interest are applied as image_geometry's PinholeCameraModel does. Raises
     ValueError if K is all zeros (the camera is not calibrated) or not finite, or the image has no
@@ -46,26 +46,12 @@ def intrinsics_from_msg(msg: CameraInfo, rectified: bool = False) -> CameraIntri
     """
     if not np.any(msg.k):
         raise ValueError('the CameraInfo has a K of zeros: the camera is not calibrated')
-    matrix = projection_from_msg(msg) if rectified else np.reshape(msg.k, (3, 3))
-    fx, _, cx, _, fy, cy = crop_and_bin(matrix, msg)[:2].ravel().tolist()
-    return CameraIntrinsics(fx, fy, cx, cy, *image_size(msg))
-
-
-def projection_from_msg(msg: CameraInfo) -> np.ndarray:
-    """Return the camera matrix (3, 3) of the full rectified image, from P or else K."""
-    projection = np.reshape(msg.p, (3, 4))[:, :3]
-    return projection if projection[0, 0] else np.reshape(msg.k, (3, 3))
-
-
-def crop_and_bin(matrix: np.ndarray, msg: CameraInfo) -> np.ndarray:
-    """Convert a camera matrix (3, 3) of the full image to that of the image that is sent."""
-    binning = max(msg.binning_x, 1), max(msg.binning_y, 1)
-    sent = matrix.copy()
-    sent[0, 2] -= msg.roi.x_offset
-    sent[1, 2] -= msg.roi.y_offset
-    sent[0] /= binning[0]
-    sent[1] /= binning[1]
-    return sent
+    has_p = rectified and msg.p[0] != 0
+    (fx, _, cx), (_, fy, cy) = (np.reshape(msg.p, (3, 4))[:2, :3] if has_p
+                                else np.reshape(msg.k, (3, 3))[:2]).tolist()
+    every_x, every_y = max(msg.binning_x, 1), max(msg.binning_y, 1)
+    return CameraIntrinsics(fx / every_x, fy / every_y, (cx - msg.roi.x_offset) / every_x,
+                            (cy - msg.roi.y_offset) / every_y, *image_size(msg))
 
 
 def image_size(msg: CameraInfo) -> tuple[int, int]:

@@ -46,7 +46,6 @@ from plane_detector.ros.frame_worker import (
     FrameRecords,
     FrameRequests,
     FrameWorker,
-    answer_trigger,
     describe_frame,
 )
 from plane_detector.ros.inputs.subscriptions import Subscriptions, anchor_role, input_topics
@@ -182,7 +181,8 @@ class PlaneDetectorNode(LifecycleNode):
         """Subscribe."""
         try:
             self._inputs = Subscriptions(self, self._live.config, self._live.settings,
-                                         self._processor.output, self._flow.accept,
+                                         self._processor.detector.source.output,
+                                         self._flow.accept,
                                          self._statistics.add_unpaired,
                                          self._given_transforms or self._listening)
         except Exception as error:  # a wrong qos_overrides parameter
@@ -240,7 +240,9 @@ class PlaneDetectorNode(LifecycleNode):
         if self._inputs is None:
             response.success, response.message = False, 'the node is not active'
             return response
-        return await answer_trigger(response, self._requests.add(), describe)
+        response.success, answer = await self._requests.add()
+        response.message = describe(answer) if response.success else answer
+        return response
 
     def _on_reset_tracking(self, _request: Trigger.Request, response: Trigger.Response):
         response.success = self._processor is not None

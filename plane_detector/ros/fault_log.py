@@ -21,6 +21,12 @@ WARN_PERIOD_S = 5.0
 """Each kind of fault is logged at most once in this time."""
 
 
+def reason_of(error: Exception) -> str:
+    """Return why data cannot be used; an error other than ValueError is a bug, with its name."""
+    return plain(str(error) if isinstance(error, ValueError)
+                 else f'{type(error).__name__}: {error}')
+
+
 class FaultLog:
     """
     Logs why data from outside cannot be used; ``what`` is the start of each line.
@@ -34,8 +40,7 @@ class FaultLog:
 
     def report(self, error: Exception, where: str = '') -> str:
         """Log the reason and where it arose, at limited intervals; return the reason alone."""
-        reason = plain(str(error) if isinstance(error, ValueError)
-                       else f'{type(error).__name__}: {error}')
+        reason = reason_of(error)
         # Another exception than ValueError is a bug, or a part that is missing.
         self._log(error, reason + (where and f' ({where})'), not isinstance(error, ValueError))
         return reason

@@ -52,11 +52,6 @@ class FrameProcessor:
         self._epoch = 0
 
     @property
-    def output(self) -> str:
-        """Kind of depth that the source returns."""
-        return self.detector.source.output
-
-    @property
     def has_network(self) -> bool:
         """Whether the depth is from a network, which takes long."""
         return isinstance(self.detector.source, ModelDepth)

@@ -16,7 +16,6 @@ from queue import Queue
 from typing import Any, Generic, NamedTuple, TypeVar
 
 from rclpy.task import Future
-from std_srvs.srv import Trigger
 
 from plane_detector.ros.diagnostics import Health, Statistics
 from plane_detector.ros.fault_log import FaultLog
@@ -196,14 +195,6 @@ class FrameRequests:
             self._wake()
 
 
-async def answer_trigger(response: Trigger.Response, future: Future,
-                         describe: Callable[[DetectedFrame], str]) -> Trigger.Response:
-    """Return the response of a service when its frame is finished, or why there is none."""
-    response.success, answer = await future
-    response.message = describe(answer) if response.success else answer
-    return response
-
-
 def describe_frame(result: DetectedFrame) -> str:
     """Return the answer to a call: number of planes and stamp of the image."""
     return f'{len(result.detection.planes)} planes in the image of {stamp_text(result)}'
@@ -284,8 +275,7 @@ class FrameFlow:
                     raise ValueError(problem)
                 self._query.answer(found)
                 publish_s = time.perf_counter() - start_s
-                stamp = found.header.stamp
-                health.note(found.detection, wanted, stamp.sec + 1e-9 * stamp.nanosec)
+                health.note(found.detection, wanted, found.stamp_s)
                 statistics.add_processed({**found.timer.seconds, 'publish': publish_s}, found)
                 requests.finish(number, True, found)
         except Exception as error:

@@ -23,8 +23,6 @@ from plane_detector.types import CameraIntrinsics
 # By encoding: type of the numbers, and metres of one of them.
 _ENCODINGS = {'32fc1': ('f4', 1.0), 'r_float32': ('f4', 1.0), '16uc1': ('u2', 0.001),
               'mono16': ('u2', 0.001)}
-DEPTH_ENCODINGS = ('32fc1', 'r_float32', '16uc1')
-"""Encodings that only depth has, in lower case."""
 COMPRESSED_DEPTH = '/compressedDepth'
 _HEADER, _SIZE = struct.Struct('<iff'), struct.Struct('<II')
 _FIELD_TYPES = {PointField.FLOAT32: 'f4', PointField.FLOAT64: 'f8'}

@@ -89,7 +89,7 @@ class FrameConverter:
             check_rays(measured, intrinsics)
         reduction = Reduction.to_side(expected, settings.max_side)
         if not reduction.is_none:
-            rgb, intrinsics = reduction.image(rgb), _reduced(intrinsics, reduction)
+            rgb, intrinsics = reduction.image(rgb), reduction.camera(intrinsics)
         if depth_m is not None:
             depth_m = _fit_depth(depth_m, intrinsics)
         if not rectify:
@@ -117,21 +117,11 @@ def is_rectified_name(topic: str) -> bool:
     return not _RECTIFIED_NAMES.isdisjoint(words)
 
 
-def _reduced(intrinsics: CameraIntrinsics, reduction: Reduction) -> CameraIntrinsics:
-    (fx, _, cx), (_, fy, cy), _ = reduction.matrix(_matrix(intrinsics)).tolist()
-    return CameraIntrinsics(fx, fy, cx, cy, *reduction.new_size)
-
-
-def _matrix(intrinsics: CameraIntrinsics) -> np.ndarray:
-    return np.array([[intrinsics.fx, 0, intrinsics.cx], [0, intrinsics.fy, intrinsics.cy],
-                     [0, 0, 1]])
-
-
 def _rectification_from_msg(info: CameraInfo, reduction: Reduction) -> Rectification:
     model = _model_of(info)
     no_distortion = np.zeros(4 if model == 'equidistant' else 5)
     # Checked, and without the numbers of K and P that a pinhole camera has not.
-    camera, rectified = (reduction.matrix(_matrix(intrinsics_from_msg(info, is_rectified)))
+    camera, rectified = (reduction.camera(intrinsics_from_msg(info, is_rectified)).matrix
                          for is_rectified in (False, True))
     return make_rectification(model, np.asarray(info.d) if np.any(info.d) else no_distortion,
                               camera, np.reshape(info.r, (3, 3)), rectified, reduction.new_size)

@@ -30,7 +30,8 @@ _TO_RGB = {'bgr8': cv2.COLOR_BGR2RGB, '8uc3': cv2.COLOR_BGR2RGB,
            'bayer_gbrg8': cv2.COLOR_BayerGR2RGB, 'bayer_grbg8': cv2.COLOR_BayerGB2RGB}
 # The luma of all pixels, followed by the colour of each 2 x 2 block, half as many rows.
 _HALF_COLOUR = {'nv12': cv2.COLOR_YUV2RGB_NV12, 'nv21': cv2.COLOR_YUV2RGB_NV21}
-_DEPTH_ENCODINGS = ('16uc1', '32fc1', 'r_float32')
+DEPTH_ENCODINGS = ('16uc1', '32fc1', 'r_float32')
+"""Encodings that only depth has, in lower case."""
 # derived: PNG is ISO/IEC 15948, JPEG is ITU-T T.81, annex B.
 _PNG_BEGIN = b'\x89PNG\r\n\x1a\n\0\0\0\x0dIHDR'
 _PNG_SIGNATURE_BYTES = 8
@@ -71,7 +72,7 @@ def rgb_from_msg(msg: Image) -> np.ndarray:
         _check_sides(msg, encoding)
         rows = pixels_of(msg, 'u1', 1, msg.height * 3 // 2)
         return cv2.cvtColor(rows, _HALF_COLOUR[encoding])
-    if encoding in _DEPTH_ENCODINGS:
+    if encoding in DEPTH_ENCODINGS:
         raise ValueError(f'the image is depth ({msg.encoding}): remap its topic to depth, with '
                          'depth.source topic, and give the colour image as image, or set '
                          'depth.colour to none')

@@ -9,7 +9,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from copy import copy
-from typing import Any, Protocol
+from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.callback_groups import ReentrantCallbackGroup
@@ -21,7 +21,7 @@ from std_msgs.msg import Header
 
 from plane_detector.config import Config, DepthConfig, NodeConfig
 from plane_detector.geometry.gravity import is_identity
-from plane_detector.ros.fault_log import plain
+from plane_detector.plain_text import plain
 from plane_detector.ros.inputs.depth_decoding import COMPRESSED_DEPTH
 from plane_detector.ros.inputs.synchronizer import Frame, FrameSynchronizer, depth_use, ns_of
 from plane_detector.ros.inputs.topic_watch import (
@@ -366,13 +366,6 @@ def _rounded_up(seconds: float) -> str:
     return f'{math.ceil(most_s / step_s) * step_s:.6g}'
 
 
-class Resolver(Protocol):
-    """The part of a node that is used: resolution of names."""
-
-    def resolve_topic_name(self, topic: str, *, only_expand: bool = False) -> str:
-        """Return the full name, with remappings unless ``only_expand``."""
-
-
 def depth_role(depth: DepthConfig) -> str:
     """Return the name by which the topic of measured depth is remapped."""
     return 'depth/points' if depth.source == 'points' else 'depth'
@@ -390,7 +383,7 @@ def depth_type(depth: DepthConfig) -> Any:
     return CompressedImage if depth.transport == 'compressedDepth' else Image
 
 
-def input_topics(node: Resolver, image_transport: str, depth: DepthConfig) -> dict[str, str]:
+def input_topics(node: Node, image_transport: str, depth: DepthConfig) -> dict[str, str]:
     """
     Return the full names of the inputs, by the names used for remapping.
 
@@ -411,7 +404,7 @@ def input_topics(node: Resolver, image_transport: str, depth: DepthConfig) -> di
     return {**names, 'camera_info': camera_info}
 
 
-def _in_transport(node: Resolver, topic: str, suffix: str) -> str:
+def _in_transport(node: Node, topic: str, suffix: str) -> str:
     """Return the name of a topic in a transport, which can be remapped itself."""
     if suffix and _is_remapped(node, topic + suffix):
         return node.resolve_topic_name(topic + suffix)
@@ -419,5 +412,5 @@ def _in_transport(node: Resolver, topic: str, suffix: str) -> str:
     return name.removesuffix(suffix) + suffix if suffix else name
 
 
-def _is_remapped(node: Resolver, topic: str) -> bool:
+def _is_remapped(node: Node, topic: str) -> bool:
     return node.resolve_topic_name(topic) != node.resolve_topic_name(topic, only_expand=True)

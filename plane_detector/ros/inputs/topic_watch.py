@@ -89,7 +89,9 @@ class TopicWatch:
         stopped = f'{topic.name} has stopped: no message for over {patience_s:.0f} s'
         if topic.problem.startswith(stopped):  # logged once, even if its publisher goes later
             return topic.problem
-        return stopped + _hint_of_loss(self._reliabilities(topic))
+        may_be_lost = ReliabilityPolicy.BEST_EFFORT in self._reliabilities(topic)
+        return stopped + (f'; if the camera still sends: large best-effort {MESSAGES_LOST}'
+                          if may_be_lost else '')
 
     def _unheard(self, role: str, topic: _Topic, now_s: float) -> str:
         """Return why no message has arrived; a new publisher has time for its first message."""
@@ -100,7 +102,11 @@ class TopicWatch:
         topic.offered_s = now_s if topic.offered_s is None else topic.offered_s
         if now_s - max(topic.offered_s, self._start_s) < GRACE_S:
             return topic.problem
-        return explain_loss(topic.name, offered, topic.only_reliable)
+        if topic.only_reliable and ReliabilityPolicy.BEST_EFFORT in offered:
+            return (f'nothing arrives on {topic.name}: the parameter input_reliability asks for '
+                    'reliable, the publisher is best effort: set it to auto or best_effort')
+        return (f'nothing arrives on {topic.name}, though it has {len(offered)} publisher(s): it '
+                f'sends nothing, large {MESSAGES_LOST}, or the QoS does not fit')
 
     def _reliabilities(self, topic: _Topic) -> list[ReliabilityPolicy]:
         """Return the reliabilities offered by publishers of the right type."""
@@ -123,22 +129,6 @@ class TopicWatch:
         elif topic.problem and not problem:
             self._node.get_logger().info(f'messages arrive on {topic.name}')
         topic.problem = problem
-
-
-def explain_loss(topic: str, offered: Sequence[ReliabilityPolicy], only_reliable: bool) -> str:
-    """Return why nothing has arrived on a topic that has publishers, and the remedy."""
-    if only_reliable and ReliabilityPolicy.BEST_EFFORT in offered:
-        return (f'nothing arrives on {topic}: the parameter input_reliability asks for reliable, '
-                'the publisher is best effort: set it to auto or best_effort')
-    return (f'nothing arrives on {topic}, though it has {len(offered)} publisher(s): it sends '
-            f'nothing, large {MESSAGES_LOST}, or the QoS does not fit')
-
-
-def _hint_of_loss(offered: Sequence[ReliabilityPolicy]) -> str:
-    """Return another possible cause than a stopped camera; empty if there is none."""
-    if ReliabilityPolicy.BEST_EFFORT not in offered:
-        return ''
-    return f'; if the camera still sends: large best-effort {MESSAGES_LOST}'
 
 
 def explain_silence(role: str, topic: str, type_name: str, offered: Sequence[str],

@@ -17,6 +17,7 @@ from plane_detector.mapping.plane_map import MapSnapshot
 from plane_detector.planes.outline import PlacedDetection
 from plane_detector.ros.calibration import NO_DISTORTION, Distortion
 from plane_detector.ros.outputs import messages
+from plane_detector.segmentation.cells.labels import rename_labels
 from plane_detector.stage_timer import StageTimer
 
 
@@ -53,7 +54,12 @@ class DetectedFrame(PlacedDetection):
     @cached_property
     def labels(self) -> np.ndarray:
         """Label of each pixel in the messages, (H, W) int32, 0 for none."""
-        return messages.pixel_labels(self.detection)
+        found = self.detection
+        labels = rename_labels(found.labels, found.planes.labels, 0)
+        if found.shapes:
+            is_shape = found.shape_labels >= 0
+            labels[is_shape] = messages.shape_labels(found)[found.shape_labels[is_shape]]
+        return labels
 
     @cached_property
     def label_places(self) -> dict[int, LabelPlace]:

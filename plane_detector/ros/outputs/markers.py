@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from itertools import chain, islice
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import Point, Vector3
@@ -67,9 +67,8 @@ def _plane_markers(frame: DetectedFrame, blank: Blank) -> Iterator[Marker]:
     tips_m = planes.centroids_m + lengths_m[:, None] * planes.normals
     arrows = messages.point_msgs(frame.placed(
         np.hstack([planes.centroids_m, tips_m]).reshape(-1, 3)))
-    captions = _captions(frame)
-    places = messages.pose_msgs(frame.placed(captions.positions_m),
-                                np.tile(_NO_ROTATION, (len(planes), 1)))
+    texts, heights_m, middles_m = _captions(frame)
+    places = messages.pose_msgs(frame.placed(middles_m), np.tile(_NO_ROTATION, (len(planes), 1)))
     for k, (label, corners) in enumerate(zip(planes.labels.tolist(), _outlines(frame),
                                              strict=True)):
         colour = _colour(frame, label)
@@ -82,8 +81,7 @@ def _plane_markers(frame: DetectedFrame, blank: Blank) -> Iterator[Marker]:
                       scale=Vector3(x=widths_m[k], y=3 * widths_m[k]),
                       points=arrows[2 * k:2 * k + 2])
         yield _marker(blank, ns='caption', id=label, type=Marker.TEXT_VIEW_FACING, color=_WHITE,
-                      scale=Vector3(z=captions.heights_m[k]), text=captions.texts[k],
-                      pose=places[k])
+                      scale=Vector3(z=heights_m[k]), text=texts[k], pose=places[k])
 
 
 def _outlines(frame: DetectedFrame) -> list[list[list[Point]]]:
@@ -162,25 +160,18 @@ def _colour(frame: DetectedFrame, label: int, alpha: float = 1.0) -> ColorRGBA:
     return ColorRGBA(r=red, g=green, b=blue, a=alpha)
 
 
-class Captions(NamedTuple):
-    """The texts of K planes, their centres (K, 3) in the frame of the camera, their heights."""
-
-    texts: list[str]
-    positions_m: np.ndarray
-    heights_m: list[float]
-
-
 def plane_name(plane: Plane) -> str:
     """Return the label of a plane with its class."""
     return f'{plane.label} {plane.plane_class.readable}'
 
 
-def _captions(frame: DetectedFrame) -> Captions:
+def _captions(frame: DetectedFrame) -> tuple[list[str], list[float], np.ndarray]:
     """
-    Return label, class and d of each plane as a text where the plane is widest in the image.
+    Return label, class and d of each plane as a text, its height, and its centre (K, 3).
 
-    The text faces the viewer. It is lifted along the normal by as much as it would reach into the
-    plane, seen from where the camera is.
+    It is where the plane is widest in the image, in the frame of the camera. The text faces the
+    viewer. It is lifted along the normal by as much as it would reach into the plane, seen from
+    where the camera is.
     """
     planes, camera = frame.detection.planes, frame.intrinsics
     unit = '' if frame.detection.scale_method == RELATIVE else ' m'
@@ -198,4 +189,4 @@ def _captions(frame: DetectedFrame) -> Captions:
     lifts_m = np.minimum(
         _BOX / 2 * (abs(planes.normals[:, 0]) * widths_m + abs(planes.normals[:, 1]) * heights_m)
         + _LIFTED_BY * distances_m, _FARTHEST_LIFT * distances_m)
-    return Captions(texts, middles_m + lifts_m[:, None] * planes.normals, heights_m.tolist())
+    return texts, heights_m.tolist(), middles_m + lifts_m[:, None] * planes.normals

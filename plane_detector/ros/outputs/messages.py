@@ -19,7 +19,6 @@ from sensor_msgs.msg import CompressedImage, Image, PointCloud2, PointField
 from std_msgs.msg import Header
 
 from plane_detector.geometry.rigid_transform import quaternions
-from plane_detector.segmentation.cells.labels import rename_labels
 from plane_detector.types import Detection, Planes
 
 FIRST_SHAPE_LABEL = 32768
@@ -30,22 +29,15 @@ XYZ_DTYPE = np.dtype([('x', '<f4'), ('y', '<f4'), ('z', '<f4')])
 OBSTACLE_DTYPE = np.dtype([*XYZ_DTYPE.descr, ('height', '<f4'), ('sigma', '<f4')])
 DROP_DTYPE = np.dtype([*XYZ_DTYPE.descr, ('drop', '<f4')])
 Message = TypeVar('Message', CompressedImage, Image, PointCloud2)
-_FIELD_TYPES = {'f4': PointField.FLOAT32, 'f8': PointField.FLOAT64,
-                'u4': PointField.UINT32, 'u1': PointField.UINT8}
+_TYPES = {PointField.INT8: 'i1', PointField.UINT8: 'u1', PointField.INT16: 'i2',
+          PointField.UINT16: 'u2', PointField.INT32: 'i4', PointField.UINT32: 'u4',
+          PointField.FLOAT32: 'f4', PointField.FLOAT64: 'f8'}
+_FIELD_TYPES = {kind: number for number, kind in _TYPES.items()}
 
 
 def shape_labels(detection: Detection) -> np.ndarray:
     """Return the label of each shape in the messages, (S,) uint32."""
     return np.array([FIRST_SHAPE_LABEL + shape.label for shape in detection.shapes], np.uint32)
-
-
-def pixel_labels(detection: Detection) -> np.ndarray:
-    """Return the label of each pixel, (H, W) int32, 0 for no plane and no shape."""
-    labels = rename_labels(detection.labels, detection.planes.labels, 0)
-    if detection.shapes:
-        is_shape = detection.shape_labels >= 0
-        labels[is_shape] = shape_labels(detection)[detection.shape_labels[is_shape]]
-    return labels
 
 
 def assembled(kind: type, **slots: Any) -> Any:
@@ -58,9 +50,17 @@ def assembled(kind: type, **slots: Any) -> Any:
 
 
 def poses_to_msg(header: Header, planes: Planes) -> PoseArray:
-    """Return the pose of each plane: its centroid, z along the normal."""
-    return PoseArray(header=header,
-                     poses=pose_msgs(planes.centroids_m, plane_quaternions(planes)))
+    """
+    Return the pose of each plane: its centroid, z along the normal.
+
+    The x axis is the camera's x axis projected onto the plane (its y axis if that is the normal).
+    """
+    z_axes = planes.normals
+    reference = np.eye(3)[np.where(abs(z_axes[:, 0]) > 0.9, 1, 0)]
+    x_axes = reference - (reference * z_axes).sum(axis=1, keepdims=True) * z_axes
+    x_axes /= np.linalg.norm(x_axes, axis=1, keepdims=True)
+    axes = np.stack([x_axes, np.cross(z_axes, x_axes), z_axes], axis=2)
+    return PoseArray(header=header, poses=pose_msgs(planes.centroids_m, quaternions(axes)))
 
 
 def pose_msgs(points_m: np.ndarray, rotations: np.ndarray) -> list[Pose]:
@@ -78,20 +78,6 @@ def point_msgs(points_m: np.ndarray) -> list[Point]:
         point._x, point._y, point._z, point._check_fields = x_m, y_m, z_m, False
         points.append(point)
     return points
-
-
-def plane_quaternions(planes: Planes) -> np.ndarray:
-    """
-    Return the orientation of each plane, (N, 4) float64, x y z w; z is the normal.
-
-    The x axis is the camera's x axis projected onto the plane (its y axis if that is the normal).
-    """
-    z_axes = planes.normals
-    reference = np.eye(3)[np.where(abs(z_axes[:, 0]) > 0.9, 1, 0)]
-    x_axes = reference - (reference * z_axes).sum(axis=1, keepdims=True) * z_axes
-    x_axes /= np.linalg.norm(x_axes, axis=1, keepdims=True)
-    axes = np.stack([x_axes, np.cross(z_axes, x_axes), z_axes], axis=2)
-    return quaternions(axes)
 
 
 def labels_to_msg(header: Header, labels: np.ndarray) -> Image:
@@ -148,11 +134,6 @@ def _sharing(msg: Message, data: np.ndarray) -> Message:
     """
     msg._data = np.ascontiguousarray(data).reshape(-1).view(np.uint8).data
     return msg
-
-
-_TYPES = {PointField.INT8: 'i1', PointField.UINT8: 'u1', PointField.INT16: 'i2',
-          PointField.UINT16: 'u2', PointField.INT32: 'i4', PointField.UINT32: 'u4',
-          PointField.FLOAT32: 'f4', PointField.FLOAT64: 'f8'}
 
 
 def read_cloud(msg: PointCloud2) -> np.ndarray:

@@ -103,12 +103,9 @@ def _photograph(path: Path, name: str, lens: Lens) -> Photograph:
         raise ValueError(f'{path} cannot be read as an image')
     height, width = bgr.shape[:2]
     reduction = Reduction.to_side((width, height), _LONGEST_SIDE_PX)
-    full = lens.intrinsics(width, height)
-    matrix = reduction.matrix(np.array([[full.fx, 0, full.cx], [0, full.fy, full.cy], [0, 0, 1]]))
     return Photograph(
         name, reduction.image(cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB)),
-        CameraIntrinsics(matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2],
-                         *reduction.new_size),
+        reduction.camera(lens.intrinsics(width, height)),
         f'{lens}{"" if reduction.is_none else f", shrunk from {width} x {height}"}')
 
 

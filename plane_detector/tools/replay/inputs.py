@@ -19,10 +19,10 @@ from plane_detector.geometry.gravity import is_identity
 from plane_detector.ros.calibration import image_size
 from plane_detector.ros.inputs.depth_decoding import (
     COMPRESSED_DEPTH,
-    DEPTH_ENCODINGS,
     depth_size,
     is_compressed_depth,
 )
+from plane_detector.ros.inputs.image_decoding import DEPTH_ENCODINGS
 from plane_detector.ros.inputs.synchronizer import Frame, FrameSynchronizer, ns_of
 from plane_detector.ros.inputs.transforms import FrameTransforms, TransformBuffer
 from plane_detector.tools.replay.bag_reader import BagError, BagReader, Recorded, Topic, to_message

@@ -28,6 +28,7 @@ from plane_detector.ros.diagnostics import (
     planes_status,
     status_to_msg,
 )
+from plane_detector.ros.fault_log import reason_of
 from plane_detector.ros.frame_processor import FrameProcessor, placement_problem
 from plane_detector.ros.inputs.synchronizer import FrameSynchronizer, depth_use
 from plane_detector.ros.live_map import LiveMap
@@ -106,8 +107,7 @@ class Tally:
 
     def add_error(self, error: Exception) -> str:
         """Count a frame that was skipped; return the reason."""
-        reason = plain(str(error) if isinstance(error, ValueError)
-                       else f'{type(error).__name__}: {error}')  # a bug; the other frames go on
+        reason = reason_of(error)
         self.errors[reason] += 1
         return reason
 
@@ -207,7 +207,7 @@ def replay(options: ReplayOptions, quiet: bool = False) -> Tally:
         live_map = _map_of(config, options)
         processor = FrameProcessor(PlaneDetector(config, network), options.settings,
                                    topics.image, transforms, live_map)
-        use = depth_use(config, processor.output)
+        use = depth_use(config, processor.detector.source.output)
         if use == 'unused':
             topics = replace(topics, depth='')
         synchronizer = FrameSynchronizer(use, options.settings.stamp_slop,
