@@ -30,10 +30,8 @@ _MAX_SAMPLES, _HYPOTHESES, _REFITS = 1500, 300, 3
 class JudgedPlane:
     """Errors of one plane against the best plane through the sensor's points in its pixels."""
 
-    pixels: int  # of the plane with sensor depth
-    purity: float  # share of them close to the best plane; 1 if they really are one plane
+    purity: float  # share of its pixels close to the best plane; 1 if they really are one plane
     normal_error_deg: float
-    offset_error_m: float
 
 
 def judge_planes(labels: np.ndarray, planes: np.ndarray, sensor_depth_m: np.ndarray,
@@ -50,9 +48,8 @@ def judge_planes(labels: np.ndarray, planes: np.ndarray, sensor_depth_m: np.ndar
         there_m = points_m[seen & (labels == k)].astype(np.float64)
         if len(there_m) >= MIN_SENSOR_PIXELS:
             best = best_plane(there_m, rng)
-            judged.append(JudgedPlane(
-                len(there_m), float(near(there_m, best).mean()),
-                float(angle_deg(plane[:3], best[:3])), float(abs(plane[3] - best[3]))))
+            judged.append(JudgedPlane(float(near(there_m, best).mean()),
+                                      float(angle_deg(plane[:3], best[:3]))))
     return judged
 
 

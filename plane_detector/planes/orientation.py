@@ -66,9 +66,8 @@ SAME_SURFACE_ODDS, MAX_SURFACE_DEPTH_SHARE = 4.0, 0.15
 SURFACE_DEPTH_PER_RAD = MAX_SURFACE_DEPTH_SHARE / np.radians(12.0)
 # Normals closer than this are equal; hypotheses of one kind differ by rounding only.
 SAME_NORMAL_COSINE = np.cos(np.radians(6.0))
-# A normal is right within this angle. tuned: python -m
-# plane_detector.evaluation.benchmark orientation --only planes, flat from 15 to 20 degrees; at 13
-# a tenth of the coverage on Kinect frames is lost.
+# A normal is right within this angle. tuned: benchmark orientation --only planes of commit
+# dec5ee1, flat from 15 to 20 degrees; at 13 a tenth of the coverage on Kinect frames is lost.
 CLOSE_RAD = np.radians(15.0)
 # Error of a network's normals: possible values, median and spread factor of their prior.
 SIGMAS_RAD = np.radians([0.5, 1.0, 2.0, 3.0, 5.0, 7.0, 10.0, 14.0, 20.0])

@@ -70,10 +70,8 @@ def test_a_plane_is_judged_by_hand():
     tilted = np.radians(10)
     planes = np.array([[0, np.sin(tilted), -np.cos(tilted), 2.1]])
     (judged,) = judge_planes(labels, planes, sensor_m, CAMERA, np.random.default_rng(0))
-    assert judged.pixels == sensor_m.size
     assert judged.purity == pytest.approx(0.75)
     assert judged.normal_error_deg == pytest.approx(10, abs=0.1)
-    assert judged.offset_error_m == pytest.approx(0.1, abs=1e-3)
 
 
 @pytest.mark.parametrize(('distance_m', 'stray_m', 'purity'), [

@@ -22,7 +22,7 @@ from plane_detector.evaluation.benchmark.report import (
     table,
 )
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
-from plane_detector.evaluation.scenes.rendering import VGA, Rectangle, Scene
+from plane_detector.evaluation.scenes.rendering import Rectangle, Scene
 from plane_detector.evaluation.scenes.sensors import SENSORS
 from plane_detector.evaluation.scenes.walks import (
     HARD,
@@ -290,7 +290,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--walks', type=at_least_one, default=2, help='of each kind of room')
     parser.add_argument('--images', type=at_least_one, default=100, help='of each walk')
     parser.add_argument('--only', default='', help='cases with this in their name')
-    parser.add_argument('--vga', action='store_true', help='640 x 480 instead of 320 x 240')
     add_shared(parser, '--first-seed', '--processes')
 
 
@@ -307,20 +306,19 @@ def run(options: argparse.Namespace) -> None:
         for room in case.rooms:
             for seed in seeds:
                 jobs[room, seed, case.noise, case.variant].append(case)
-    camera = VGA if options.vga else QVGA
-    work = [(key, tuple(cases), options.images, camera) for key, cases in jobs.items()]
+    work = [(key, tuple(cases), options.images) for key, cases in jobs.items()]
     totals: dict[str, Score] = {}
     for scores in in_parallel(_scores, work, options.processes, 'walks'):
         for title, one in scores.items():
             totals[title] = totals.get(title, Score()) + one
     emit(f'{len(seeds)} walks of each kind of room, seeds {seeds[0]} to {seeds[-1]}, '
-         f'{options.images} images of {camera.width} x {camera.height}',
+         f'{options.images} images of {QVGA.width} x {QVGA.height}',
          table(HEADER, [row(case.title, totals[case.title]) for case in chosen]))
 
 
 def _scores(work: tuple) -> dict[str, Score]:
-    (room, seed, noise, variant), cases, images, camera = work
-    recording = record(room, seed, noise, images, camera, variant)
+    (room, seed, noise, variant), cases, images = work
+    recording = record(room, seed, noise, images, QVGA, variant)
     return {case.title: score(recording, case.poses, seed) for case in cases}
 
 

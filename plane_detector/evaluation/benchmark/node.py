@@ -21,7 +21,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
@@ -53,8 +53,6 @@ SUBSCRIPTIONS = {'nothing': (), 'planes': ('planes',), 'points, planes': ('point
                  'all': tuple(OUTPUTS)}
 HELD_S = 0.5
 """Each view is shown for this long, as by a slowly moving camera, so that labels are tracked."""
-_SHIFTS = 0, 1, 2, 1
-"""Sideways positions of consecutive images of a view, in units of the motion."""
 _STAGES = ('convert', 'depth', 'directions', 'segmentation', 'measurement', 'ground', 'tracking',
            'patches', 'messages', 'publish', 'total')
 _ROOM = 'room'
@@ -72,7 +70,6 @@ class Show:
     title: str
     views: Sequence[Frame]  # shown in turn, each for HELD_S
     rate_hz: float  # of the images
-    motion_px: int = 0  # each image is moved sideways against the one before; 0: a still camera
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -84,9 +81,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--model', default='fastdepth',
                         help='network of the second source, as depth.model; none: leave it out')
     parser.add_argument('--rate', type=_rate, default=30.0, help='of the images, Hz')
-    parser.add_argument('--motion', type=int, default=0, metavar='PIXELS',
-                        help='by which each image is moved sideways against the one before; 0: a '
-                             'still camera, with which the node has less work')
     parser.add_argument('--seconds', type=_seconds, default=10.0, help='of every row')
 
 
@@ -116,7 +110,7 @@ def run(options: argparse.Namespace) -> None:
     found = list(sources(options.model))
     rclpy.init()
     try:
-        report_load(found, Show(title, views, options.rate, options.motion), options.seconds)
+        report_load(found, Show(title, views, options.rate), options.seconds)
     finally:
         rclpy.try_shutdown()
 
@@ -152,9 +146,8 @@ def report_load(found: Sequence[tuple[str, DepthConfig]], show: Show, seconds: f
             load_before = os.getloadavg()[0]
             cells = _measured(depth, outputs, show, seconds)
             rows.append([name, subscribed, *cells.values(), f'{load_before:.1f}'])
-    camera = f'moved by {show.motion_px} px from image to image' if show.motion_px else 'still'
     emit(f'### The node over DDS: {show.title}, {lens.width} x {lens.height}, '
-         f'images at {show.rate_hz:g} Hz, {camera}',
+         f'images at {show.rate_hz:g} Hz',
          table(('depth', 'subscribed', *cells, 'load before'), rows),
          'Rate: of ~/planes as received. Core time: of all threads of the node, per frame '
          'published, without subscribers per image sent. Without a core: how long it would have '
@@ -256,8 +249,7 @@ class Camera:
     def __init__(self, process: subprocess.Popen, show: Show, with_depth: bool,
                  receiver: Receiver) -> None:
         self._process, self._receiver = process, receiver
-        self._views = [[input_messages(_moved(view, shift * show.motion_px)) for shift in _SHIFTS]
-                       for view in show.views]
+        self._views = [input_messages(view) for view in show.views]
         self._node = rclpy.create_node('plane_detector_load')
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self._node)
@@ -331,7 +323,7 @@ class Camera:
     def _publish(self) -> None:
         stamp = self._node.get_clock().now().to_msg()
         shown = int(self._sent / self._rate_hz / HELD_S)
-        image = self._views[shown % len(self._views)][self._sent % len(_SHIFTS)]
+        image = self._views[shown % len(self._views)]
         self._sent += 1
         for name, publisher in self._publishers.items():
             image[name].header.stamp = stamp
@@ -348,12 +340,6 @@ def input_messages(view: Frame) -> dict[str, Any]:
     return {'camera_info': camera_info_to_msg(header, view.intrinsics),
             'depth': messages.depth_to_msg(header, view.depth_m),
             'image': messages.rgb_to_msg(header, view.rgb)}
-
-
-def _moved(view: Frame, shift_px: int) -> Frame:
-    """Return a view moved sideways; what leaves the image comes in at the other side."""
-    return replace(view, rgb=np.roll(view.rgb, shift_px, axis=1),
-                   depth_m=np.roll(view.depth_m, shift_px, axis=1))
 
 
 def median_stages(statuses: Sequence[dict[str, str]]) -> dict[str, float]:

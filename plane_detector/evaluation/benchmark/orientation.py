@@ -1,39 +1,28 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""
-Directions from lines, and the orientation of planes in a network's depth with and without them.
-
-The reference for gravity in real images is the floor in the sensor's depth, for planes the best
-plane through the sensor's points in their pixels.
-"""
+"""Directions from lines; in real images the reference is the floor in the sensor's depth."""
 
 from __future__ import annotations
 
 import argparse
-import itertools
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from plane_detector.config import Config, DepthConfig, DirectionsConfig
-from plane_detector.depth.estimator import DepthEstimator
-from plane_detector.depth.networks import NetworkUnavailableError
 from plane_detector.directions.finder import CameraImage, find_in_image
 from plane_detector.directions.vanishing import SceneDirections
 from plane_detector.evaluation.benchmark.report import add_shared, emit, table
 from plane_detector.evaluation.datasets import Frame, frames
-from plane_detector.evaluation.metrics import PURE, angle_deg
-from plane_detector.evaluation.peers import plane_array
-from plane_detector.evaluation.reference_planes import JudgedPlane, judge_planes, true_floor
+from plane_detector.evaluation.metrics import angle_deg
+from plane_detector.evaluation.reference_planes import true_floor
 from plane_detector.evaluation.scenes import rooms, textures
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
-from plane_detector.pipeline import PlaneDetector
 from plane_detector.types import CameraIntrinsics
 
 INDOOR = ('kinect', 'nyu', 'living_room', 'kitchen')
 # Held-out frames of the long sequence.
 HELD_OUT_FRAME = 5
-PARTS = ('gravity', 'rendered', 'planes')
+PARTS = ('gravity', 'rendered')
 DEPTH_NOISE_PER_M, WRONG_DEG = (0.0, 0.002, 0.008), 6.0
 UPRIGHT_SINE = 0.05
 SCENES: dict[str, Callable] = {
@@ -41,33 +30,23 @@ SCENES: dict[str, Callable] = {
     'rooms from straight above': textures.room_from_above,
     'rooms, floor rising by 8 deg': textures.ramp_room, 'attics': rooms.attic,
     'hexagonal rooms': rooms.hexagon_room, 'corridors': rooms.corridor}
-WAYS = {'without': DirectionsConfig(gravity=False, orient_planes=False),
-        'with': DirectionsConfig()}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument('--only', choices=PARTS, action='append',
-                        help='print this part only; may be given again')
-    add_shared(parser, '--scenes', '--first-seed', '--data', '--model', scenes=20)
+    parser.add_argument('--only', choices=PARTS, help='print this part only')
+    add_shared(parser, '--scenes', '--first-seed', '--data', scenes=20)
 
 
 def run(options: argparse.Namespace) -> None:
     """Print all tables."""
-    parts = options.only or PARTS
     seeds = range(options.first_seed, options.first_seed + options.scenes)
-    if options.data.is_dir():
-        found = {name: list(frames(options.data, (name,))) for name in INDOOR}
-        found['living_room, held out'] = list(frames(options.data, ('living_room',),
-                                                     HELD_OUT_FRAME))
-        for name, own in found.items():
-            if 'gravity' in parts:
-                report_gravity(name, own)
-            if 'planes' in parts:
-                report_planes(name, own, options.model)
-    else:
-        emit(f'Real images: {options.data} is not there.')
-    if 'rendered' in parts:
+    if options.only != 'rendered':
+        for name in INDOOR:
+            report_gravity(name, list(frames(options.data, (name,))))
+        report_gravity('living_room, held out',
+                       list(frames(options.data, ('living_room',), HELD_OUT_FRAME)))
+    if options.only != 'gravity':
         report_rendered(seeds)
 
 
@@ -147,48 +126,3 @@ def _axis_errors(axes: np.ndarray, scene: rooms.Scene) -> list[float]:
     level = level[is_seen] / length[is_seen, None]
     nearest = np.degrees(np.arccos(np.clip(np.abs(axes @ level.T).max(), 0, 1)))
     return [float(nearest)] if nearest < 10 else []
-
-
-def report_planes(name: str, found: Sequence[Frame], model: str) -> None:
-    """Print the errors of the network's planes with and without directions, for each frame."""
-    try:
-        estimate = load_network(model)
-    except NetworkUnavailableError as error:
-        emit(f'Planes of a network: absent: {error}')
-        return
-    judged = {way: [_judged(frame, PlaneDetector(Config(directions=config), estimate))
-                    for frame in found] for way, config in WAYS.items()}
-    rows = [[frame.name, *(cell for way in WAYS for cell in _cells(judged[way][k]))]
-            for k, frame in enumerate(found)]
-    rows.append(['**all**', *(cell for way in WAYS
-                              for cell in _cells(itertools.chain(*judged[way])))])
-    columns = ('all (deg)', 'pure (deg)', 'purity', 'offset (cm)')
-    emit(f'### Planes of {model}, {name}',
-         table(('frame', *(f'{way}: {column}' for way in WAYS for column in columns)), rows),
-         f'Means over planes weighted by pixels; pure: more than {PURE:.0%} of the pixels on one '
-         'plane of the sensor.')
-
-
-def load_network(model: str) -> DepthEstimator:
-    """Return a network; raises NetworkUnavailableError."""
-    return DepthEstimator(DepthConfig(model=model))
-
-
-def _judged(frame: Frame, detector: PlaneDetector) -> list[JudgedPlane]:
-    found = detector.detect(frame.rgb, frame.intrinsics)
-    return judge_planes(found.labels, plane_array(found), frame.depth_m, frame.intrinsics,
-                        np.random.default_rng(0))
-
-
-def _cells(judged: Iterable[JudgedPlane]) -> list[str]:
-    judged = list(judged)
-    pure = [plane for plane in judged if plane.purity > PURE]
-    return [f'{_mean(judged, "normal_error_deg"):.1f}', f'{_mean(pure, "normal_error_deg"):.1f}',
-            f'{_mean(judged, "purity"):.2f}', f'{100 * _mean(judged, "offset_error_m"):.0f}']
-
-
-def _mean(judged: Sequence[JudgedPlane], name: str) -> float:
-    if not judged:
-        return float('nan')
-    return float(np.average([getattr(plane, name) for plane in judged],
-                            weights=[plane.pixels for plane in judged]))

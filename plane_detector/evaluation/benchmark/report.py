@@ -38,7 +38,6 @@ SHARED: dict[str, dict[str, Any]] = {
                'default': Path(os.environ.get('PLANE_DETECTOR_DATA', '../shared/data')),
                'help': 'folder of real images, see evaluation/datasets.py; default: '
                        'PLANE_DETECTOR_DATA or %(default)s'},
-    '--model': {'default': 'fastdepth', 'help': 'network, as depth.model'},
     '--processes': {'type': at_least_one, 'default': os.cpu_count() or 1},
     '--only-ours': {'action': 'store_true', 'help': 'no other methods'},
     '--scenes': {'type': at_least_one, 'help': 'rendered scenes of each kind'},
