@@ -94,7 +94,6 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
         ('floor_height / height_m', 'floor_height * height_m', 'height multiplied'),
         ('FloorFit(scale, scale * found', 'FloorFit(scale, found', 'shift without the scale')),
     'scale/shift_posterior.py': (
-        ('raw[..., 2] += tau', 'raw[..., 2] -= tau', 'sign of the shift'),
         ('- 3 * np.log(length)', '+ 3 * np.log(length)', 'flat worlds are likely'),
         (' * angle_sigma_deg / max(spread_deg, 1e-9)', '',
          'the error of a shift is all of its spread'),
@@ -111,6 +110,7 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
         ('3 * sigma_deg', '3 / sigma_deg', 'the surest planes may be off most'),
         ('middle = -0.5', 'middle = 0.5', 'sign of the shift from right angles'),),
     'scale/disparity_planes.py': (
+        ('normals[..., 2] += tau', 'normals[..., 2] -= tau', 'sign of the shift'),
         ('self.coefficients + [0.0, 0.0, shift]',
          '(self.coefficients + [0.0, 0.0, shift])', 'shift in the wrong unit'),),
     'directions/posterior.py': (
@@ -243,7 +243,7 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
         ('np.arange(28, -1, -4', 'np.arange(0, 32, 4', 'nibbles from the lower end')),
     'ros/calibration.py': (
         ('msg.roi.x_offset', 'msg.roi.y_offset', 'swapped offsets of a cut image'),
-        ('[1] /= binning[1]', '[1] /= binning[0]', 'binning of the other axis')),
+        ('.y_offset) / every_y', '.y_offset) / every_x', 'binning of the other axis')),
     'ros/inputs/transforms.py': (
         ('-to_base.rotation[2]', '-to_base.rotation[:, 2]', 'gravity in the wrong frame'),),
     'ros/outputs/clouds.py': (
@@ -254,9 +254,10 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
         ('[v, u, 1] = (e * x + f) * z + h',
          '[v, u, 1] = (e * x + f) * z + d', 'shift of the other axis in ~/points'),
         ('found.obstacles,', 'found.mask,', 'the ground as obstacle')),
+    'ros/outputs/frame.py': (
+        ('[found.shape_labels[is_shape]]', '[found.shape_labels[is_shape] - 1]',
+         'pixels of another shape'),),
     'ros/outputs/messages.py': (
-        ('[detection.shape_labels[is_shape]]', '[detection.shape_labels[is_shape] - 1]',
-         'pixels of another shape'),
         ('(z_axes, x_axes)', '(x_axes, z_axes)', 'poses are mirrored'),)}
 
 

@@ -9,6 +9,8 @@ unit. Invalid values are NaN in both.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from plane_detector.compilation import kernel
@@ -163,7 +165,12 @@ def disparity_range(disparity: np.ndarray) -> float:
 
 
 def _range_and_median(disparity: np.ndarray) -> tuple[float, float]:
+    low, level, high = sampled_quantiles(disparity, _RANGE_QUANTILES)
+    return high - low, level
+
+
+def sampled_quantiles(disparity: np.ndarray, shares: Sequence[float]) -> list[float]:
+    """Return quantiles of the finite values in every fourth row and column; 0 without any."""
     sample = disparity[::4, ::4]
     sample = sample[np.isfinite(sample)]
-    low, level, high = quantiles(sample, _RANGE_QUANTILES) if sample.size else (0.0, 0.0, 0.0)
-    return high - low, level
+    return quantiles(sample, shares) if sample.size else [0.0] * len(shares)

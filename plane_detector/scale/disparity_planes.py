@@ -14,6 +14,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+MAX_PLANES, MIN_PIXEL_SHARE = 16, 0.004
+"""Of the planes that vote; smaller ones are mostly clutter."""
+
 
 @dataclass(frozen=True)
 class DisparityPlanes:
@@ -40,6 +43,17 @@ class DisparityPlanes:
         The plane n . p + d = 0 has the coefficients -n / d.
         """
         return scale * self.coefficients + [0.0, 0.0, shift]
+
+    def normals(self, tau: np.ndarray) -> np.ndarray:
+        """Return the normals (T, N, 3) for shifts (T,), each as long as (p, q, r + tau)."""
+        normals = np.repeat(self.coefficients[None], len(tau), axis=0)
+        normals[..., 2] += tau[:, None]
+        return normals
+
+    def largest(self) -> DisparityPlanes:
+        """Return the planes that are large enough to vote, the largest first."""
+        order = np.argsort(-self.pixel_share)[:MAX_PLANES]
+        return self.take(order[self.pixel_share[order] >= MIN_PIXEL_SHARE])
 
     def take(self, index: np.ndarray) -> DisparityPlanes:
         """Return the selected planes, in the order of the index."""

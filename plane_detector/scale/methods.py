@@ -19,9 +19,8 @@ from functools import cached_property
 import numpy as np
 
 from plane_detector.config import ScaleConfig
-from plane_detector.geometry.disparity import UNITLESS
+from plane_detector.geometry.disparity import UNITLESS, sampled_quantiles
 from plane_detector.geometry.gravity import unit_direction
-from plane_detector.geometry.robust import quantiles
 from plane_detector.scale.disparity_planes import DisparityPlanes
 from plane_detector.scale.estimate import RELATIVE, ScaleEstimate
 from plane_detector.scale.floor import fit_floor
@@ -103,10 +102,7 @@ class ScaleEvidence:
 
     @cached_property
     def _quantiles(self) -> tuple[float, ...]:
-        sample = self.disparity[::4, ::4]
-        sample = sample[np.isfinite(sample)]
-        wanted = (FAR_QUANTILE, *SPAN_QUANTILES)
-        return tuple(quantiles(sample, wanted)) if sample.size else (0.0,) * 4
+        return tuple(sampled_quantiles(self.disparity, (FAR_QUANTILE, *SPAN_QUANTILES)))
 
 
 def estimate_scale(evidence: ScaleEvidence, config: ScaleConfig | None = None) -> ScaleEstimate:
@@ -135,7 +131,9 @@ def estimate_scale(evidence: ScaleEvidence, config: ScaleConfig | None = None) -
     """
     config = config or ScaleConfig()
     refusals, unitless = [], None
-    for method in ('metric',) if evidence.is_measured else _methods(config):
+    asked = (tuple(METHODS) if config.method == 'auto' else
+             () if config.method == 'none' else (config.method,))
+    for method in ('metric',) if evidence.is_measured else asked:
         estimate = METHODS[method](evidence, config)
         if isinstance(estimate, str):
             refusals.append(f'{method}: {estimate}')
@@ -144,12 +142,6 @@ def estimate_scale(evidence: ScaleEvidence, config: ScaleConfig | None = None) -
         else:
             unitless = unitless or estimate
     return unitless or _relative(evidence, '; '.join(refusals) or 'requested by scale.method')
-
-
-def _methods(config: ScaleConfig) -> tuple[str, ...]:
-    if config.method == 'auto':
-        return tuple(METHODS)
-    return () if config.method == 'none' else (config.method,)
 
 
 def _relative(evidence: ScaleEvidence, note: str) -> ScaleEstimate:

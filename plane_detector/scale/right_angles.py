@@ -24,8 +24,6 @@ import numpy as np
 from plane_detector.geometry.rigid_transform import unit_vectors
 from plane_detector.scale.disparity_planes import DisparityPlanes
 
-MAX_PLANES = 16
-MIN_PIXEL_SHARE = 0.004
 # A normal is off its axis beyond 3 sigma of its fit, limited to this range.
 MIN_TOLERANCE_DEG, MAX_TOLERANCE_DEG = 2.0, 5.0
 SYSTEMATIC_DEG = 1.0
@@ -85,7 +83,7 @@ def find_perpendicular_axes(planes: DisparityPlanes, lowest_disparity: float,
         Largest angle between them.
 
     """
-    planes = _largest(planes)
+    planes = planes.largest()
     tau, axes = _shifts_of_pairs(planes.coefficients, -lowest_disparity)
     if down is not None:
         off_deg = np.degrees(np.arccos(np.abs(axes @ down).max(1).clip(0, 1)))
@@ -105,12 +103,6 @@ def find_perpendicular_axes(planes: DisparityPlanes, lowest_disparity: float,
 
 def _refused(reason: str) -> PerpendicularAxes:
     return PerpendicularAxes(np.full((3, 3), np.nan), reason)
-
-
-def _largest(planes: DisparityPlanes) -> DisparityPlanes:
-    """Return the planes that may vote, the largest first."""
-    order = np.argsort(-planes.pixel_share)[:MAX_PLANES]
-    return planes.take(order[planes.pixel_share[order] >= MIN_PIXEL_SHARE])
 
 
 def _shifts_of_pairs(coefficients: np.ndarray,
@@ -134,8 +126,7 @@ def _shifts_of_pairs(coefficients: np.ndarray,
 
 def _normals(planes: DisparityPlanes, tau: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return normals (C, N, 3), not of unit length, and their errors in degrees (C, N)."""
-    raw = np.repeat(planes.coefficients[None], len(tau), axis=0)
-    raw[..., 2] += tau[:, None]
+    raw = planes.normals(tau)
     normals, covariance = unit_vectors(raw), planes.covariance
     along = np.einsum('cni,nij,cnj->cn', normals, covariance, normals)
     across = np.maximum(np.trace(covariance, axis1=1, axis2=2) - along, 0.0) / 2
@@ -186,7 +177,7 @@ def _refined(planes: DisparityPlanes, best: _ScoredShifts) -> tuple[_ScoredShift
 
 def _turn_deg(planes: DisparityPlanes, tau: np.ndarray, other: np.ndarray) -> np.ndarray:
     """Return the angle by which each plane turns from a shift (1,) to others, (C, N) degrees."""
-    here, there = unit_vectors(_normals(planes, tau)[0]), unit_vectors(_normals(planes, other)[0])
+    here, there = (unit_vectors(planes.normals(one)) for one in (tau, other))
     return np.degrees(np.arccos((here * there).sum(-1).clip(-1, 1)))
 
 

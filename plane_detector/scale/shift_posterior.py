@@ -31,7 +31,6 @@ import numpy as np
 from plane_detector.geometry.rigid_transform import unit_vectors
 from plane_detector.scale.disparity_planes import DisparityPlanes
 
-MAX_PLANES, MIN_PIXEL_SHARE = 16, 0.004
 # Shares of planes that are level, across one of the horizontal axes, upright only, or anything.
 # tuned: python -m plane_detector.evaluation.benchmark relative --first-seed 2000, also on kitchens
 # and frames of sensors: flat from half to twice each.
@@ -123,8 +122,7 @@ def estimate_shift(planes: DisparityPlanes, lowest: float, span: tuple[float, fl
         Equally likely directions: the vertical, then horizontal axes, if any.
 
     """
-    order = np.argsort(-planes.pixel_share)[:MAX_PLANES]
-    planes = planes.take(order[planes.pixel_share[order] >= MIN_PIXEL_SHARE])
+    planes = planes.largest()
     spread = span[2] - span[0]
     if not len(planes) or not spread > 0:
         return ShiftEstimate.refused('no plane is large enough')
@@ -135,7 +133,7 @@ def estimate_shift(planes: DisparityPlanes, lowest: float, span: tuple[float, fl
     tau = np.geomspace(offset[first], offset[last], FINE_POINTS) - lowest
     mass = _posterior(planes, tau, span, frames)
     estimate = float(np.interp(0.5, np.cumsum(mass) - mass / 2, tau))
-    normals = unit_vectors(_raw_normals(planes, np.append(tau, estimate)))
+    normals = unit_vectors(planes.normals(np.append(tau, estimate)))
     turned_rad = np.arccos((normals[:-1] * normals[-1]).sum(2).clip(-1, 1))
     weights = planes.pixel_share / planes.pixel_share.sum()
     spread_deg = float(np.degrees(np.sqrt(mass @ turned_rad**2 @ weights)))
@@ -148,17 +146,10 @@ def estimate_shift(planes: DisparityPlanes, lowest: float, span: tuple[float, fl
                          _what_determines(normals[-1], planes, frames))
 
 
-def _raw_normals(planes: DisparityPlanes, tau: np.ndarray) -> np.ndarray:
-    """Return the normals (T, N, 3) of planes for shifts (T,), of length m."""
-    raw = np.repeat(planes.coefficients[None], len(tau), axis=0)
-    raw[..., 2] += tau[:, None]
-    return raw
-
-
 def _posterior(planes: DisparityPlanes, tau: np.ndarray, span: tuple[float, float, float],
                frames: list[np.ndarray]) -> np.ndarray:
     """Return the probability (T,) of shifts (T,); their sum is 1."""
-    raw = _raw_normals(planes, tau)
+    raw = planes.normals(tau)
     length = np.linalg.norm(raw, axis=2)
     normals = raw / length[..., None]
     inverse = np.maximum(raw[..., 2] + (raw[..., :2] * planes.centers).sum(2), 1e-9 * length)

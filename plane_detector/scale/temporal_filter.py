@@ -61,7 +61,7 @@ def depth_change(estimate: ScaleEstimate, other: ScaleEstimate) -> float:
     """
     Return the largest relative change of depth between two scales, over the span of other.
 
-    Where other was measured, its depth is positive.
+    Where other was measured, its depth is positive; infinite if not by this one.
     """
     disparity = np.array(other.span)
     inverse = estimate.scale * disparity + estimate.shift
@@ -101,10 +101,12 @@ def _blend(state: ScaleState, measured: ScaleEstimate, config: ScaleConfig) -> S
         return ScaleState(replace(
             measured, scale=keep * current.scale + (1 - keep) * measured.scale,
             shift=keep * current.shift + (1 - keep) * measured.shift))
+    why = (f'depth differs by {change:.0%}' if np.isfinite(change) else
+           'by the scale in use a part of it is behind the camera')
     agrees = state.outliers and depth_change(state.outliers[-1], measured) <= config.max_jump
     outliers = (*state.outliers, measured) if agrees else (measured,)
     if len(outliers) >= config.reset_after:
-        return ScaleState(measured, event=f'scale reset, depth changes by {change:.0%}: '
+        return ScaleState(measured, event=f'scale reset, {why}: '
                           f'{len(outliers)} frames in a row agree on a new scene')
-    event = '' if agrees else f'outlier frame ignored, it would change depth by {change:.0%}'
+    event = '' if agrees else f'outlier frame ignored, {why}'
     return ScaleState(current, outliers, 0, event)

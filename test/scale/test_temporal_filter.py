@@ -51,10 +51,11 @@ def test_an_outlier_changes_nothing_and_is_reported():
     assert states[2].event == '' and states[2].outliers == ()
 
 
-@pytest.mark.parametrize(('shift', 'change'), [(0.05, '33%'), (-0.15, 'inf%')])
-def test_the_change_is_that_of_the_depth_where_it_changes_most(shift, change):
+@pytest.mark.parametrize(('shift', 'event'), [
+    (0.05, 'depth differs by 33%'), (-0.15, 'a part of it is behind the camera')])
+def test_the_change_is_that_of_the_depth_where_it_changes_most(shift, event):
     """Of the far end: from .2 to .15 of 1/z, or beyond what is infinitely far."""
-    assert f'change depth by {change}' in run(replace(FLOOR, shift=shift), FLOOR)[1].event
+    assert run(replace(FLOOR, shift=shift), FLOOR)[1].event.endswith(event)
 
 
 def test_a_new_scene_resets_after_frames_that_agree():
