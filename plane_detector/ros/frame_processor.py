@@ -48,7 +48,7 @@ class FrameProcessor:
         self._image_topic = image_topic
         self._converter = FrameConverter(image_topic, detector.config.depth)
         self._transforms = transforms or FrameTransforms(TransformBuffer())
-        self._map = live_map
+        self.map = live_map
         self._epoch = 0
 
     @property
@@ -100,11 +100,11 @@ class FrameProcessor:
                 found, seen.intrinsics, to_target, seen.stamp_s, header=frame.image.header,
                 rgb=seen.rgb, settings=settings, pose_problem=problem,
                 distortion=converted.distortion, timer=timer)
-            if self._map is None:
+            if self.map is None:
                 return result
             with timer('map'):
                 # 4. One lasting plane for one surface.
-                return replace(result, map_view=self._map.add(result, seen.epoch))
+                return replace(result, map_view=self.map.add(result, seen.epoch))
         return find_planes
 
 

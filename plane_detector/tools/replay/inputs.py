@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import astuple, dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, Imu, PointCloud2
 
@@ -25,6 +25,7 @@ from plane_detector.ros.inputs.depth_decoding import (
 from plane_detector.ros.inputs.image_decoding import DEPTH_ENCODINGS
 from plane_detector.ros.inputs.synchronizer import Frame, FrameSynchronizer, ns_of
 from plane_detector.ros.inputs.transforms import FrameTransforms, TransformBuffer
+from plane_detector.stopping import raise_if_stopped
 from plane_detector.tools.replay.bag_reader import BagError, BagReader, Recorded, Topic, to_message
 from plane_detector.tools.replay.options import ReplayOptions
 from plane_detector.tools.replay.writer import BagWriter
@@ -297,7 +298,7 @@ class CopiedMessages:
     """
 
     def __init__(self, writer: BagWriter, topics: Sequence[str], inputs: InputTopics, every: int):
-        self.topics = frozenset(topics)
+        self.topics, self.every = frozenset(topics), every
         self._writer, self._of_frame = writer, (inputs.image, inputs.depth, inputs.camera_info)
         self._chosen = self.topics & set(self._of_frame) if every > 1 else frozenset()
         self._waiting: OrderedDict[tuple[str, int], Recorded] = OrderedDict()
@@ -320,14 +321,30 @@ class CopiedMessages:
                 self._writer.copy(self._waiting.pop((topic, ns_of(msg))))
 
 
+class ReadFrame(NamedTuple):
+    """A frame of a bag."""
+
+    index: int  # among all frames
+    time_ns: int  # when its last message was recorded
+    frame: Frame
+    dropped: int  # images without a partner since the frame before
+
+
 def read_frames(bag: BagReader, topics: InputTopics, times_ns: tuple[int, int],
+                synchronizer: FrameSynchronizer, copies: CopiedMessages) -> Iterator[ReadFrame]:
+    """Yield one frame of ``copies.every``, with its messages copied; Stopped ends it."""
+    found = _all_frames(bag, topics, times_ns, synchronizer, copies)
+    for index, (time_ns, frame) in enumerate(found):
+        raise_if_stopped()
+        if index % copies.every == 0:
+            copies.take(frame)
+            yield ReadFrame(index, time_ns, frame, synchronizer.take_dropped())
+
+
+def _all_frames(bag: BagReader, topics: InputTopics, times_ns: tuple[int, int],
                 synchronizer: FrameSynchronizer, copies: CopiedMessages
                 ) -> Iterator[tuple[int, Frame]]:
-    """
-    Yield the frames recorded from one time up to another, each with the time of its last message.
-
-    Messages that cannot be decoded are skipped and counted in ``bag.damaged``.
-    """
+    """Yield frames and times; messages that cannot be decoded are counted in ``bag.damaged``."""
     time_ns, names = times_ns[0], frozenset(topics.names)
     add = {topics.image: synchronizer.add_image, topics.camera_info: synchronizer.add_camera_info,
            topics.depth: synchronizer.add_depth, topics.imu: synchronizer.add_imu}

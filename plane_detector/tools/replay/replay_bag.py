@@ -9,7 +9,7 @@ import sys
 import threading
 import time
 from collections import Counter, defaultdict
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
@@ -35,11 +35,11 @@ from plane_detector.ros.live_map import LiveMap
 from plane_detector.ros.live_settings import load_kernels
 from plane_detector.ros.outputs.frame import DetectedFrame
 from plane_detector.ros.outputs.topics import MAP_OUTPUTS, OUTPUTS, make_map_messages
-from plane_detector.stopping import Stopped, raise_if_stopped
+from plane_detector.stopping import Stopped
 from plane_detector.tools.replay.bag_reader import BagError, BagReader
 from plane_detector.tools.replay.inputs import (
     CopiedMessages,
-    InputTopics,
+    ReadFrame,
     choose_inputs,
     imu_to_camera,
     read_frames,
@@ -221,8 +221,23 @@ def replay(options: ReplayOptions, quiet: bool = False) -> Tally:
         with ReplayFiles(options.figures, options.ply, options.table,
                          bool(config.shapes.wanted)) as files:
             with BagWriter(draft.path, options.storage, options.compressed) as writer:
-                _process(bag, topics, times_ns, synchronizer, processor, live_map, writer, files,
-                         options, tally, quiet)
+                names = (*options.outputs, *(MAP_OUTPUTS if live_map else ()))
+                writer.add_outputs({_topic(name): (OUTPUTS | MAP_OUTPUTS)[name].msg_type
+                                    for name in names} | {_DIAGNOSTICS_TOPIC: DiagnosticArray})
+                copied = () if options.copied is None else options.copied or topics.names
+                writer.add_copies(bag, copied)
+                frames = read_frames(bag, topics, times_ns, synchronizer,
+                                     CopiedMessages(writer, copied, topics, options.every))
+                total = _expected_frames(bag, topics.image, times_ns) // options.every
+                _process(tqdm(frames, total=total, unit='frame', disable=True if quiet else None),
+                         processor, writer, files, options, tally)
+                tally.without_partner += synchronizer.take_dropped()
+                tally.damaged = bag.damaged
+                if tally.interrupted and not tally.processed:
+                    raise Stopped
+                if not tally.processed:
+                    raise BagError(tally.unread or '\n'.join(
+                        ['no frame could be processed', *tally.losses(), bag.describe()]))
                 writer.describe({**tally.to_fields(), 'replay.source': options.source.name,
                                  'replay.options': options.fingerprint})
             prefix = INTERRUPTED if tally.interrupted else ''
@@ -233,31 +248,15 @@ def replay(options: ReplayOptions, quiet: bool = False) -> Tally:
         return tally
 
 
-def _process(bag: BagReader, topics: InputTopics, times_ns: tuple[int, int],
-             synchronizer: FrameSynchronizer, processor: FrameProcessor,
-             live_map: LiveMap | None, writer: BagWriter, files: ReplayFiles,
-             options: ReplayOptions, tally: Tally, quiet: bool) -> None:
+def _process(frames: Iterable[ReadFrame], processor: FrameProcessor, writer: BagWriter,
+             files: ReplayFiles, options: ReplayOptions, tally: Tally) -> None:
     """Process the frames, to the end of the bag or of what can be read, or to a stop."""
-    config, facts = processor.detector.config, {'depth': tally.depth}
-    copied = () if options.copied is None else options.copied or topics.names
-    of_map = tuple(MAP_OUTPUTS) if live_map else ()
-    types = {name: output.msg_type for name, output in {**OUTPUTS, **MAP_OUTPUTS}.items()}
-    writer.add_outputs({**{_topic(name): types[name] for name in (*options.outputs, *of_map)},
-                        _DIAGNOSTICS_TOPIC: DiagnosticArray})
-    writer.add_copies(bag, copied)
-    copies = CopiedMessages(writer, copied, topics, options.every)
+    config, facts, live_map = processor.detector.config, {'depth': tally.depth}, processor.map
     wanted = dict.fromkeys((*options.outputs, *files.outputs))
-    frames = read_frames(bag, topics, times_ns, synchronizer, copies)
-    progress = tqdm(total=_expected_frames(bag, topics.image, times_ns) // options.every,
-                    unit='frame', disable=True if quiet else None)
     begun_s = time.perf_counter()
     try:
-        for index, (time_ns, frame) in enumerate(frames):
-            raise_if_stopped()
-            tally.add_dropped(synchronizer.take_dropped())
-            if index % options.every:
-                continue
-            copies.take(frame)
+        for index, time_ns, frame, dropped in frames:
+            tally.add_dropped(dropped)
             found, error = None, ''
             try:
                 found, messages = processor.process(frame, wanted)
@@ -275,31 +274,21 @@ def _process(bag: BagReader, topics: InputTopics, times_ns: tuple[int, int],
             done_s = time.perf_counter()
             if found is not None:
                 files.write(index, found, messages)
-                for name in (*options.outputs, *of_map):
-                    if name in messages:  # some are not available for every frame
+                for name in messages:
+                    if name in options.outputs or name in MAP_OUTPUTS:
                         writer.write(_topic(name), time_ns, messages[name])
             writer.write(_DIAGNOSTICS_TOPIC, time_ns, diagnostics_msg(
                 frame.image.header, index, tally, facts, found, error))
             tally.stage_seconds['write'] += time.perf_counter() - done_s
-            progress.update()
     except Stopped:
         tally.interrupted = True
     except BagError as error:
         tally.unread = str(error)
-    finally:
-        progress.close()
     if live_map:  # the map after the last image, whenever it was published before
         for name, msg in make_map_messages(live_map.rest()).items():
             writer.write(_topic(name), time_ns, msg)
         tally.map_problem = live_map.problem()
     tally.seconds = time.perf_counter() - begun_s
-    tally.without_partner += synchronizer.take_dropped()
-    tally.damaged = bag.damaged
-    if not tally.processed:
-        if tally.interrupted:
-            raise Stopped
-        raise BagError(tally.unread or '\n'.join(
-            ['no frame could be processed', *tally.losses(), bag.describe()]))
 
 
 def _expected_frames(bag: BagReader, image: str, times_ns: tuple[int, int]) -> int:
