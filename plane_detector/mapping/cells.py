@@ -96,12 +96,6 @@ class Cells:
         rows, columns = np.nonzero(self.seen)
         return self.size_m * (np.column_stack([columns, rows]) + np.array(self.low) + 0.5)
 
-    @property
-    def bounds_m(self) -> tuple[np.ndarray, np.ndarray]:
-        """Lowest and highest coordinates, (2,) each, of the bitmap."""
-        low = np.array(self.low)
-        return self.size_m * low, self.size_m * (low + self.hits.shape[::-1])
-
     def hull_m(self) -> np.ndarray:
         """Return the corners (N, 2), along u and v, of the rows of these cells."""
         first_row, last_row, first, last = runs(self).T
@@ -163,21 +157,12 @@ class Cells:
 class View:
     """The labels and the depth of an image, and the camera in the frame of the map."""
 
-    labels: np.ndarray  # (H, W) int32, index of the found plane; -1 none
-    depth_m: np.ndarray  # (H, W) float32
+    labels: np.ndarray  # (H, W) int32, C-contiguous, index of the found plane; -1 none
+    depth_m: np.ndarray  # (H, W) float32, C-contiguous
     camera: tuple[float, float, float, float]  # fx, fy, cx, cy
     camera_from_map: RigidTransform
     count: int  # of found planes
     noise: float  # standard deviation of the disparity, 1/m
-
-    @classmethod
-    def of(cls, labels: np.ndarray, depth_m: np.ndarray, intrinsics: CameraIntrinsics,
-           camera_from_map: RigidTransform, count: int, noise: float) -> View:
-        """Return a view with arrays as the loops need them."""
-        return cls(np.ascontiguousarray(labels, np.int32),
-                   np.ascontiguousarray(depth_m, np.float32),
-                   (intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy),
-                   camera_from_map, count, noise)
 
     def steps(self, frames: PlaneFrames, lows: np.ndarray, size_m: float) -> np.ndarray:
         """
@@ -195,7 +180,6 @@ class View:
         steps[:, 0] += self.camera_from_map.translation_m
         return steps
 
-
     def may_show(self, steps: np.ndarray, shapes: np.ndarray) -> np.ndarray:
         """
         Return which rectangles of cells may be in view, (M,) bool: no side has all corners beyond.
@@ -210,7 +194,6 @@ class View:
         sides = np.array([[fx, 0, cx + 0.5], [-fx, 0, width - cx - 0.5],
                           [0, fy, cy + 0.5], [0, -fy, height - cy - 0.5], [0, 0, 1]])
         return ((corners @ sides.T).max(axis=1) > 0).all(axis=1)
-
 
 
 def runs(cells: Cells) -> np.ndarray:

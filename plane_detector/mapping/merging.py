@@ -108,10 +108,9 @@ def _joined(larger: MapPlane, smaller: MapPlane) -> MapPlane:
 
 
 def _joined_cells(larger: MapPlane, smaller: MapPlane) -> Cells:
-    low_m, high_m = smaller.cells.bounds_m
-    corners = smaller.points(np.array([[u, v] for u in (low_m[0], high_m[0])
-                                       for v in (low_m[1], high_m[1])]))
-    flat_m = larger.flat(corners)
+    (left, top), (rows, columns) = smaller.cells.low, smaller.cells.hits.shape
+    corners = np.array([[u, v] for u in (left, left + columns) for v in (top, top + rows)])
+    flat_m = larger.flat(smaller.points(smaller.cells.size_m * corners))
     cells = larger.cells.grown(flat_m.min(axis=0), flat_m.max(axis=0))
     # From u, v of the larger plane to those of the smaller one, both in cells.
     a, b, c = larger.coefficients

@@ -184,7 +184,8 @@ class PlaneMap:
         # The error of the correction is common to all planes that the last image does not show.
         planes = as_planes([replace(plane, covariance=self._relative.get(
             plane.label, plane.covariance)) for plane in sure])
-        others = with_pose_error(planes, self.correction.error, self._camera_m)
+        camera_m = self.correction.camera.translation_m if self.correction.pose else np.zeros(3)
+        others = with_pose_error(planes, self.correction.error, camera_m)
         is_shown = np.isin(planes.labels, list(self._relative))
         planes = replace(planes, covariances=np.where(
             is_shown[:, None, None], planes.covariances, others.covariances))
@@ -232,10 +233,6 @@ class PlaneMap:
         camera, lasting = correction.camera, correction.lasting.after(correction.pose)
         off_m = np.linalg.norm(camera.translation_m - lasting.translation_m)
         self.jitter_m = float(np.sqrt(SMOOTHING * self.jitter_m**2 + (1 - SMOOTHING) * off_m**2))
-
-    @property
-    def _camera_m(self) -> np.ndarray:
-        return self.correction.camera.translation_m if self.correction.pose else np.zeros(3)
 
     def _registered(self, prediction: Prediction, image: _Image) -> _Attempt:
         """Return the correction of an image by the planes of the map, and which ones it shows."""
@@ -433,9 +430,11 @@ class _Image:
 
     def view(self, camera: RigidTransform) -> View:
         """Return the image from a pose in the map."""
-        detection = self.placed.detection
-        return View.of(detection.labels, detection.depth_m, self.placed.intrinsics,
-                       camera.inverse(), len(self.found), self.noise)
+        detection, lens = self.placed.detection, self.placed.intrinsics
+        return View(np.ascontiguousarray(detection.labels, np.int32),
+                    np.ascontiguousarray(detection.depth_m, np.float32),
+                    (lens.fx, lens.fy, lens.cx, lens.cy), camera.inverse(), len(self.found),
+                    self.noise)
 
 
 @dataclass(frozen=True)

@@ -75,7 +75,11 @@ def reoriented_by_normals(regions: PixelRegions, prediction: Prediction,
             continue
         normal = _average(own, spreads[k], normals_camera[row, column].astype(float))
         rays = np.stack([ray_x[column], ray_y[row], np.ones(len(row))], axis=1)
-        inverse_offset = _inverse_offset(normal, rays, disparity[row, column])
+        cosine = -rays @ normal
+        if np.median(cosine) < MIN_COSINE:  # seen edge-on
+            continue
+        # By least squares, 1/z is cosine / offset.
+        inverse_offset = float((cosine * disparity[row, column]).sum() / (cosine**2).sum())
         if inverse_offset > 0:
             coefficients[k] = np.linalg.solve(jacobian, -normal * inverse_offset)
             rotated_rad[k] = np.arccos(min(own @ normal, 1.0))
@@ -109,10 +113,3 @@ def _spread_rad(normals: np.ndarray, about: np.ndarray) -> float:
         return np.nan
     return float(np.median(np.arccos(np.clip(normals @ about, -1, 1))) / RAYLEIGH_MEDIAN)
 
-
-def _inverse_offset(normal: np.ndarray, rays: np.ndarray, disparity: np.ndarray) -> float:
-    """Return the least-squares 1/offset of 1/z = -(n . r) / offset; 0 if seen edge-on."""
-    cosine = -rays @ normal
-    if np.median(cosine) < MIN_COSINE:
-        return 0.0
-    return float((cosine * disparity).sum() / (cosine**2).sum())

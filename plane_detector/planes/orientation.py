@@ -146,15 +146,17 @@ def score_orientations(planes: Planes, directions: SceneDirections,
     lost = (LINE_WEIGHT * evidence.contradiction(hypotheses.normals)
             + 0.5 * (moved / DEPTH_ERROR_SHARE) ** 2)
     variances = normal_variances(planes, samples, SIGMAS_RAD[:, None], shift_rad)
-    outliers = _outliers(variances, samples.image_shares)
+    outliers = np.minimum(OUTLIER_SIZE / np.maximum(samples.image_shares, 1e-6), MAX_OUTLIER_SHARE
+                          ) * variances / (variances + EXPECTED_SIGMA_RAD**2)
     scores = _log_likelihood(hypotheses, variances, outliers[..., None]) - lost
     # Whatever its lines: a region is rotated within its error.
     scores[hypotheses.angle_rad > MOST_TILTS * np.sqrt(variances)[..., None]] = -np.inf
     prior = -0.5 * (np.log(SIGMAS_RAD / EXPECTED_SIGMA_RAD) / LOG_SIGMA_SPREAD) ** 2
     evidence_of = np.logaddexp.reduce(scores, axis=2).sum(axis=1) + prior
     best = int(np.argmax(evidence_of))
+    size = FREE_BEND * np.sqrt(np.maximum(samples.image_shares, 1e-6))
     return ScoredOrientations(directions, hypotheses, scores[best], SIGMAS_RAD[best],
-                              variances[best], _free_odds(planes, samples),
+                              variances[best], _bends(planes, samples) / size,
                               float(evidence_of[best]))
 
 
@@ -216,28 +218,13 @@ def normal_variances(planes: Planes, samples: RegionSamples,
     An error of the shift of the disparity turns planes without a bend.
     """
     of_fit = np.trace(planes.covariances[:, :3, :3], axis1=1, axis2=2) / 2
-    return of_fit + shift_rad**2 + 1 / (1 / sigmas_rad**2 + 1 / _tilts_rad(planes, samples) ** 2)
-
-
-def _tilts_rad(planes: Planes, samples: RegionSamples) -> np.ndarray:
-    """Return the largest error (K,) of normals that the bend of their regions allows."""
-    return np.maximum(TILT_PER_BEND * _bends(planes, samples), 1e-6)
-
-
-def _free_odds(planes: Planes, samples: RegionSamples) -> np.ndarray:
-    size = FREE_BEND * np.sqrt(np.maximum(samples.image_shares, 1e-6))
-    return _bends(planes, samples) / size
+    largest_rad = np.maximum(TILT_PER_BEND * _bends(planes, samples), 1e-6)
+    return of_fit + shift_rad**2 + 1 / (1 / sigmas_rad**2 + 1 / largest_rad**2)
 
 
 def _bends(planes: Planes, samples: RegionSamples) -> np.ndarray:
     """Return the distance (K,) of regions from their planes, as a share of their size."""
     return samples.roughness * (planes.offsets_m / np.sqrt(planes.areas_m2))
-
-
-def _outliers(variances: np.ndarray, image_shares: np.ndarray) -> np.ndarray:
-    """Return the share (S, K) of normals unrelated to the true ones, by their variances (S, K)."""
-    share = np.minimum(OUTLIER_SIZE / np.maximum(image_shares, 1e-6), MAX_OUTLIER_SHARE)
-    return share * variances / (variances + EXPECTED_SIGMA_RAD**2)
 
 
 def _same_surface(hypotheses: _Hypotheses, normals: np.ndarray, sigma_rad: float,

@@ -31,8 +31,9 @@ def cells_of(seen, low=(0, 0)):
 
 
 def view_of(depth_m, labels):
-    return View.of(np.broadcast_to(labels, (100, 100)), np.full((100, 100), depth_m, np.float32),
-                   CAMERA, RigidTransform.identity(), 2, 0.001)
+    labels = np.broadcast_to(labels, (100, 100)).astype(np.int32)
+    return View(labels, np.full((100, 100), depth_m, np.float32),
+                (CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy), RigidTransform.identity(), 2, 0.001)
 
 
 def voted(depth_m, labels, cells, own=(True, False)):
