@@ -26,21 +26,9 @@ _ONE = np.zeros(1, int)
 def merge_touched(planes: Sequence[MapPlane], touched: np.ndarray, up: np.ndarray
                   ) -> tuple[tuple[MapPlane, ...], dict[int, int]]:
     """
-    Merge planes that an image has changed with others of the same surface.
+    Merge planes that an image has changed, by their labels (K,), with others of the same surface.
 
-    Parameters
-    ----------
-    planes : sequence of MapPlane
-    touched : (K,) int
-        Labels of the planes that have changed.
-    up : (3,) float64
-
-    Returns
-    -------
-    tuple of MapPlane
-    dict
-        Labels that are gone, and the labels of the planes that they are part of now.
-
+    Return all planes, and of each label that is gone that of the plane it is part of now.
     """
     known, gone = {plane.label: plane for plane in planes}, {}
     frames, labels = frames_of(planes), np.array([plane.label for plane in planes], int)

@@ -33,19 +33,9 @@ CORRELATION_SHARE = 1.0 / 20.0
 
 def ray_planes(regions: PixelRegions, intrinsics: CameraIntrinsics) -> DisparityPlanes:
     """
-    Return the planes of regions as functions of ray slopes.
+    Return the planes of regions, in any unit, as functions of ray slopes.
 
-    Parameters
-    ----------
-    regions : PixelRegions
-        In any unit.
-    intrinsics : CameraIntrinsics
-
-    Returns
-    -------
-    DisparityPlanes
-        Without regions that have too few pixels, or whose pixels are on a line.
-
+    Regions that have too few pixels, or whose pixels are on a line, are left out.
     """
     pixels, moments = _whole_cells(regions)
     jacobian = ray_plane_jacobian(intrinsics)

@@ -111,18 +111,7 @@ class RegionSamples:
 
 def sample_regions(regions: PixelRegions, planes: Planes,
                    intrinsics: CameraIntrinsics) -> RegionSamples:
-    """
-    Sample pixels on a regular grid over the image.
-
-    Parameters
-    ----------
-    regions : PixelRegions
-        Of 1/z; labels index into ``planes``.
-    planes : Planes
-        Measured in these regions, at least one.
-    intrinsics : CameraIntrinsics
-
-    """
+    """Sample pixels of regions of 1/z, which are those of planes, on a grid over the image."""
     step = max(1, int(np.sqrt(regions.labels.size / SAMPLES)))
     thinned = (slice(None, None, step),) * 2
     labels, disparity = regions.labels[thinned], regions.disparity[thinned]

@@ -47,29 +47,7 @@ SHIFT_SPREAD, LOG_SHIFT_ODDS = 0.2, 8.0
 def measure_reoriented(regions: PixelRegions, intrinsics: CameraIntrinsics, min_pixels: float,
                        lines: ImageDirections, shift_rad: float = 0.0
                        ) -> tuple[Planes, np.ndarray]:
-    """
-    Measure planes, rotated by the lines of the image if these give an orientation.
-
-    Parameters
-    ----------
-    regions : PixelRegions
-        Of 1/z in one unit.
-    intrinsics : CameraIntrinsics
-    min_pixels : float
-        Smaller planes are dropped.
-    lines : ImageDirections
-        With axes.
-    shift_rad : float
-        Error of normals by an uncertain shift of the disparity.
-
-    Returns
-    -------
-    planes : Planes
-        Largest first.
-    labels : (H, W) int32
-        Index into these, -1 none.
-
-    """
+    """Measure planes, see :func:`measure_planes`, that are rotated first, see :func:`reorient`."""
     planes, labels = measure_planes(regions, intrinsics, min_pixels)
     if not len(planes):
         return planes, labels

@@ -27,21 +27,7 @@ _STILL_IMAGES = 30
 
 
 class LiveMap:
-    """
-    A map of planes that several threads may use.
-
-    Parameters
-    ----------
-    config : MapConfig
-    target_frame : str
-        Frame of the poses.
-
-    Raises
-    ------
-    ValueError
-        There is no target frame.
-
-    """
+    """A map of planes that several threads may use; ValueError without a frame of the poses."""
 
     def __init__(self, config: MapConfig, target_frame: str):
         if not target_frame:

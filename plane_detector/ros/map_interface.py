@@ -21,13 +21,7 @@ class MapInterface:
     """
     Topics and services of a map; none stays if one of them cannot be made.
 
-    Parameters
-    ----------
-    node : LifecycleNode
-    live_map : LiveMap
-    path : Path
-        File of ``~/map/save`` and ``~/map/load``.
-
+    ``path`` is the file of ``~/map/save`` and ``~/map/load``.
     """
 
     def __init__(self, node: LifecycleNode, live_map: LiveMap, path: Path):

@@ -58,15 +58,9 @@ class ScaleEstimate:
 def apply_scale(disparity: np.ndarray, estimate: ScaleEstimate,
                 max_depth_m: float = np.inf) -> np.ndarray:
     """
-    Return depth, (H, W) float32, NaN where invalid or farther than the largest depth.
+    Return the depth (H, W) float32 of a disparity (H, W), NaN where invalid.
 
-    Parameters
-    ----------
-    disparity : (H, W) floating
-    estimate : ScaleEstimate
-    max_depth_m : float
-        Larger depths are invalid; applies only if the unit is the metre.
-
+    So is what is farther than ``max_depth_m``, if the unit is the metre.
     """
     farthest = max_depth_m if estimate.is_metric else MAX_RELATIVE_DEPTH
     inverse = np.float32(estimate.scale) * disparity + np.float32(estimate.shift)

@@ -91,19 +91,9 @@ def compare(before: Planes, after: Planes, growth: np.ndarray) -> tuple[np.ndarr
     """
     Compare T planes with N others in the same camera frame.
 
-    Parameters
-    ----------
-    before, after : Planes
-    growth : (T,) floating
-        Factor on the variances of angle and offset between two images.
-
-    Returns
-    -------
-    deviation2 : (T, N) float64
-        Squared number of standard deviations by which the coefficients differ.
-    nearness : (T, N) float64
-        1 for equal centroids, less with the distance over the smaller size.
-
+    Return the squares of the standard deviations by which their coefficients differ, where a
+    factor ``growth`` (T,) is on the variances between two images, and the nearness of their
+    centroids: 1 for equal ones, less with the distance over the smaller size. Both are (T, N).
     """
     return _compare(*(tuple(map(np.ascontiguousarray, (
         one.normals, one.offsets_m, one.centroids_m, one.covariances, one.areas_m2)))
