@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """With measured depth, the node and its tests do without the packages that only pip has."""
 
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -48,6 +49,7 @@ def test_planes_from_measured_depth(hidden):
         points, planes = points_and_planes(robot)
         assert_true_to(small_room(), planes, cloud_array(points)['label'])
         assert robot.diagnosis()[1]['depth_model'] == 'the depth topic, no network'
+        assert node.end(signal.SIGTERM) == 0
     finally:
         robot.shutdown()
         node.process.kill()

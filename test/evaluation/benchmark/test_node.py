@@ -44,7 +44,7 @@ def test_the_running_node_is_measured(ros, room, monkeypatch, capsys):
     benchmark_node.report_load(TOPIC, Show('two rooms', views(room), 5.0), 3.0)
     (row,) = rows(capsys.readouterr().out)
     assert row[:2] == ['depth topic', 'all']
-    assert 0 < float(row[2]) < 6
+    assert 0 < float(row[2]) < 10
     share, busy_ms, waiting_ms, median_ms, most_ms, worst_ms = (
         float(cell.rstrip('%')) for cell in row[3:9])
     assert 0 < median_ms <= most_ms <= worst_ms
@@ -52,6 +52,7 @@ def test_the_running_node_is_measured(ros, room, monkeypatch, capsys):
     assert resident_mb > 50
     assert 0 < start_s < 120
     *stages, total = map(float, row[11:-1])
-    assert 0 < total == pytest.approx(sum(stages), abs=1 + 0.1 * total)
+    assert 0 < max(stages) <= total, 'medians, which need not add up'
     assert busy_ms + waiting_ms > 0.3 * total, 'the threads of the process are found'
-    assert share == pytest.approx(0.1 * busy_ms * float(row[2]), abs=1 + 0.05 * share)
+    rounded = 0.005 * busy_ms  # of the rate, to .1 Hz
+    assert share == pytest.approx(0.1 * busy_ms * float(row[2]), abs=1 + 0.05 * share + rounded)

@@ -53,7 +53,7 @@ def run(bag, tmp_path):
     def run(at, *options):
         return subprocess.run(
             [sys.executable, '-c', SCRIPT.format(at=at), str(bag), str(tmp_path / 'planes'),
-             *options], cwd=ROOT, capture_output=True, text=True, timeout=120)
+             *options], cwd=ROOT, capture_output=True, text=True, timeout=600)
     return run
 
 

@@ -126,7 +126,7 @@ def start(bags, out):
 
 
 def wait_for(condition):
-    deadline_s = time.monotonic() + 120
+    deadline_s = time.monotonic() + 600
     while not condition():
         assert time.monotonic() < deadline_s
         time.sleep(0.02)
