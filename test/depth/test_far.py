@@ -42,9 +42,18 @@ def test_a_clear_sky_is_found_up_to_its_border_and_the_white_above_the_horizon(w
     {'top': (200, 210, 225), 'horizon': (200, 210, 225)},  # an even one
     {'top': (225, 215, 200), 'horizon': (235, 230, 220)},  # a yellowish one
     {'top': (200, 200, 200), 'horizon': (240, 240, 240)},  # white, as overcast sky
-    {'top': (20, 40, 90), 'horizon': (70, 80, 100)}])      # dark
+    {'top': (20, 40, 90), 'horizon': (70, 80, 100)},       # dark
+    {'top': (180, 200, 182), 'horizon': (225, 232, 204)},  # greenish, less blue downwards
+    {'top': (200, 180, 230), 'horizon': (206, 236, 237)}])  # violet, greener downwards
 def test_a_wall_is_not_sky(colours):
     assert find_sky(*landscape(**colours)) is None
+
+
+def test_a_textured_wall_is_not_sky():
+    rgb, disparity = landscape()
+    rgb[:HORIZON] -= 20 * (np.indices((HORIZON, WIDTH)).sum(axis=0) // 6 % 2).astype(
+        np.uint8)[..., None]
+    assert find_sky(rgb, disparity) is None
 
 
 @pytest.mark.parametrize('share', [0.95, 1.0])
@@ -71,6 +80,8 @@ def test_the_reduced_image_of_a_narrow_one_is_not_large(monkeypatch):
         sizes.append(size), resize(image, size, **how))[1])
     assert find_sky(np.full((4000, 3, 3), 90, np.uint8), np.ones((4000, 3), np.float32)) is None
     assert max(width * height for width, height in sizes) < 500_000
+    find_sky(*landscape())
+    assert (160, 160 * HEIGHT // WIDTH) in sizes
 
 
 def test_a_disparity_within_its_noise_of_zero_determines_no_distance():

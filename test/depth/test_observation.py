@@ -80,6 +80,15 @@ def test_invalid_or_too_far_depth_is_nan(source):
     np.testing.assert_array_equal(given, VALUES)
 
 
+@pytest.mark.parametrize('unit', [1e-6, 1.0, 1e6])
+def test_relative_depth_is_in_units_of_its_median(unit):
+    ramp = np.where(VALUES == 2, np.arange(1, 49, dtype=np.float32).reshape(6, 8), VALUES)
+    source = ModelDepth(DepthFunction(lambda rgb: unit * ramp, 'relative_depth'))
+    found = source.observe(RGB, CAMERA, None, Config()).prediction.values
+    median = np.median(ramp[np.isfinite(ramp) & (ramp > 0)])
+    np.testing.assert_allclose(found[1:], ramp[1:] / median, rtol=1e-5)
+
+
 def test_a_sensor_measures():
     found = SensorDepth().observe(RGB, CAMERA, VALUES, TOPIC)
     assert found.is_measured and found.noise_share == found.edge_blur_px == 0

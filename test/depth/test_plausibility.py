@@ -9,7 +9,8 @@ from onnx_models import PLAIN, constant, write_depth_network, write_network
 
 from plane_detector.config import DepthConfig
 from plane_detector.depth.estimator import DepthEstimator
-from plane_detector.depth.plausibility import ImplausibleDepthError, corridor
+from plane_detector.depth.plausibility import CORRIDOR_LENS, ImplausibleDepthError, corridor
+from plane_detector.geometry.projection import pixel_rays
 
 onnx = pytest.importorskip('onnx', reason='onnx, of the extra "test", is not installed')
 helper, FLOAT = onnx.helper, onnx.TensorProto.FLOAT
@@ -56,6 +57,18 @@ def test_a_frame_without_depth_is_skipped_and_the_next_is_not(tmp_path):
     np.testing.assert_allclose(estimate(rgb)[[5, 40]], [[0.2], [1]] * np.ones((1, 64)), rtol=1e-5)
 
 
+def test_every_pixel_of_the_corridor_is_on_a_face_and_brightness_shows_no_distance():
+    rgb, z_m = corridor()
+    ray_x, ray_y = pixel_rays(CORRIDOR_LENS)
+    x_m, y_m = ray_x * z_m, ray_y[:, None] * z_m
+    off_m = np.abs([x_m + 1.5, x_m - 1.5, y_m + 1.4, y_m - 1.2, z_m - 8]).min(axis=0)
+    assert off_m.max() < 1e-5
+    for limits in ((x_m, -1.5, 1.5), (y_m, -1.4, 1.2), (z_m, 1.2, 8.0)):
+        values, low, high = limits
+        assert low - 1e-5 < values.min() and values.max() < high + 1e-5
+    assert abs(np.corrcoef(rgb[..., 0].ravel(), z_m.ravel())[0, 1]) < 0.1
+
+
 def write_corridor_network(path, *, disparity):
     """Write a network that sees a corridor in any image, a little of the image added."""
     truth_m = corridor()[1]
@@ -83,3 +96,9 @@ def test_depth_called_disparity_and_disparity_called_depth_are_refused(
         return
     with pytest.raises(ImplausibleDepthError, match=rf'n\.onnx: .*{said}'):
         load(path, output)
+
+
+def test_a_network_that_sees_only_colours_is_not_judged_by_a_grey_corridor(tmp_path):
+    path = write_depth_network(tmp_path / 'n.onnx', height=480, width=640, weights=(1, 0, 0, 0.1))
+    for output in ('metric_depth', 'disparity'):
+        assert load(path, output).output == output

@@ -108,6 +108,16 @@ def test_noise_moves_the_shift_of_a_point_map_by_less_than_itself():
     assert abs(np.nanmedian(found - z)) < 0.01
 
 
+def test_near_points_decide_the_shift_of_a_point_map():
+    """An error of a share of the distance is that of a pixel; a far one leads metres off."""
+    x, z = rays(LENS, (HEIGHT, WIDTH)), np.where(np.arange(WIDTH) % 2, 10.0, 1.0)
+    z = np.tile(z, (HEIGHT, 1))
+    points = np.dstack([x * z[..., None], z - 0.7])
+    points[z == 10, :2] *= 1.05  # the shift of these alone is 1.2
+    found = depth_from_point_map(points.astype(np.float32), np.ones(z.shape, bool), x)
+    np.testing.assert_allclose(found - z, 0, atol=0.01)
+
+
 @pytest.mark.parametrize(('width', 'height', 'focal_at_input'), [
     (1064, 400, 500.0), (500, 616, 500.0), (532, 308, 1000.0)])
 def test_canonical_depth_becomes_metres_by_the_focal_length_at_the_input(

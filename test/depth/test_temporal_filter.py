@@ -75,16 +75,29 @@ def brightened(images, disparities):
 
 
 def nearer(images, disparities):
-    disparities[-1][100:150, 100:150] += 0.3
+    disparities[-1][100:150, 100:150] += 0.05
 
 
-@pytest.mark.parametrize('change', [turned(0.7), turned(1.5), turned(40), brightened, nearer])
+def farther_in_a_part_without_depth(images, disparities):
+    for disparity in disparities:
+        disparity[:100] = np.nan
+    disparities[-1][100:150, 100:150] -= 0.05
+
+
+@pytest.mark.parametrize('change', [turned(0.7), turned(1.5), turned(40), brightened, nearer,
+                                    farther_in_a_part_without_depth])
 def test_motion_or_new_depth_ends_the_average_of_the_whole_image(change):
     images, disparities = still(6)
     change(images, disparities)
     state = damped(images, disparities)
     assert state.image_count == 1
     np.testing.assert_array_equal(state.disparity, disparities[-1])
+
+
+def test_a_change_below_a_tenth_of_the_range_is_flicker():
+    images, disparities = still(6)
+    disparities[-1][100:150, 100:150] += 0.02
+    assert damped(images, disparities).image_count == 6
 
 
 def test_slow_motion_adds_up_and_never_lags_by_a_pixel():

@@ -46,9 +46,21 @@ def test_a_view_fills_what_another_lacks(kind):
     views = predictions(ramp(), kind)
     whole = views[0].values.copy()
     views[0].values[20:24, 30:34] = np.nan
+    views[1].values[5:9, 5:9] = views[2].values[3:6, 3:6] = np.nan
     np.testing.assert_allclose(average_views(VIEWS, views).values, whole, rtol=1e-5)
     views[0].values[:] = np.nan
     assert np.isnan(average_views(VIEWS[:1], views[:1]).values).all()
+
+
+def test_a_crop_ends_without_a_step():
+    """It differs from the whole by up to a tenth, at the inner sides that the feather ends at."""
+    whole = np.ones((480, 640), np.float32)
+    for view in VIEWS[1:]:
+        crop = view.of(whole) + 0.1 * np.linspace(-1, 1, 576, dtype=np.float32)
+        averaged = average_views([VIEWS[0], view], [Prediction('disparity', whole),
+                                                    Prediction('disparity', crop)]).values
+        assert np.ptp(averaged) > 0.05
+        assert max(abs(np.diff(averaged, axis=axis)).max() for axis in (0, 1)) < 0.003
 
 
 def test_independent_errors_become_smaller():

@@ -92,17 +92,20 @@ def test_a_ramp_and_the_level_behind_it_are_ground(sign):
     assert off_edges_m(found, terrain).max(initial=0.0) < 0.1
 
 
-def test_a_slope_beside_the_robot_is_ground():
+@pytest.mark.parametrize('roll_deg', [0, 40, 90])
+def test_a_slope_beside_the_robot_is_ground(roll_deg):
     """It rises by 8 degrees from below the camera on: no way leads from the level to the slope."""
     camera, down = CameraIntrinsics(525.0, 525.0, 319.5, 239.5, 640, 480), np.radians(25.0)
+    roll, _ = cv2.Rodrigues(np.radians(roll_deg) * np.array([0.0, 0.0, 1.0]))
     v, u = np.mgrid[:480, :640]
-    x, y = (u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy
+    rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones(u.shape)])
+    x, y, _ = np.tensordot(roll.T, rays, 1)
     fall = np.cos(down) * y + np.sin(down)  # of a ray at depth 1
     least = np.maximum(np.maximum(fall, fall + np.tan(np.radians(8.0)) * x), 1 / 8)
     inverse = least + np.random.default_rng(0).normal(0, 0.001, x.shape)
     depth_m = np.where(least > 1 / 8, 1 / inverse, np.nan).astype(np.float32)
     found = PlaneDetector(MEASURED).detect(np.full((480, 640, 3), 128, np.uint8), camera, depth_m,
-                                           np.array([0.0, np.cos(down), np.sin(down)]))
+                                           roll @ np.array([0.0, np.cos(down), np.sin(down)]))
     assert found.ground[np.isfinite(depth_m)].mean() > 0.98
 
 
@@ -212,6 +215,32 @@ def test_a_kerb_down_is_a_drop_above_min_drop(height_m, is_drop):
         assert np.median(found.drop_depths_m) == pytest.approx(height_m, abs=0.02)
     higher = replace(MEASURED, ground=GroundConfig(min_drop=0.5))
     assert len(detect(terrain, config=higher).drops_m) == 0
+
+
+def test_a_low_step_at_the_upper_end_of_a_ramp_is_no_drop():
+    """What is behind it is far below the ramp, were it to go on."""
+    top_m = 2.0 * np.tan(np.radians(8.0))
+    terrain = laid(2.0, (1.5, 0.0, Kind.FLOOR), (3.5, top_m, Kind.RAMP),
+                   (3.5, top_m - 0.06, Kind.OBSTACLE), (9.0, top_m - 0.06, Kind.LOWER))
+    found = detect(terrain)
+    assert share(found, terrain, Kind.RAMP) > 0.97 and len(found.drops_m) == 0
+
+
+def test_a_drop_within_the_error_of_depth_is_none():
+    """Behind the kerb the height of a pixel may be off by .1 m, three standard deviations."""
+    terrain = course(kerb, -1, 0.15, start_m=3.5)
+    scene = terrain.scene
+    own = detect(terrain, scene.depth_m)
+    floor = own.labels[-1, 320]
+    counts = []
+    for noise in (0.0, 0.008):
+        planes = PlaneSegmentation(own.planes.picked([floor]),
+                                   np.where(own.labels == floor, 0, -1), noise)
+        ground = find_ground(planes, scene.depth_m, scene.intrinsics,
+                             Gravity(scene.gravity_camera, 1.0, 'measured'), MEASURED)
+        assert not ground.note
+        counts.append(len(ground.pixels.drops_m))
+    assert counts[0] > 100 and counts[1] == 0
 
 
 @pytest.mark.parametrize('make, least', [(hole, 20), (quay, 200)])
