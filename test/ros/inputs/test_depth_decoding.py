@@ -11,7 +11,7 @@ from depth_messages import QUANTISATION_A, cloud_msg, compressed_depth_msg, enco
 from ros_helpers import image_msg
 
 from plane_detector.geometry.projection import depth_to_points
-from plane_detector.ros.inputs.depth_decoding import check_rays, depth_from_msg
+from plane_detector.ros.inputs.depth_decoding import check_rays, depth_from_msg, depth_size
 from plane_detector.ros.inputs.rvl import decode_rvl
 from plane_detector.types import CameraIntrinsics
 
@@ -56,6 +56,8 @@ def test_other_units(unit_m):
     np.testing.assert_allclose(decoded(image_msg(counts, '16UC1'), unit_m), expected, rtol=1e-6)
     metres = image_msg(counts.astype(np.float32), '32FC1')
     np.testing.assert_allclose(decoded(metres, unit_m), expected, rtol=1e-6)
+    cloud = cloud_msg(np.repeat(counts[..., None], 3, axis=2))
+    np.testing.assert_allclose(decoded(cloud, unit_m), expected, rtol=1e-6)
 
 
 def test_depth_of_another_encoding_is_refused():
@@ -66,7 +68,9 @@ def test_depth_of_another_encoding_is_refused():
 @pytest.mark.parametrize('kind', ['png', 'rvl'])
 @pytest.mark.parametrize('encoding, error_m', [('16UC1', 5e-4), ('32FC1', 2e-3)])
 def test_compressed_depth(encoding, error_m, kind):
-    found = decoded(compressed_depth_msg(sloped_m(), encoding, kind))
+    msg = compressed_depth_msg(sloped_m(), encoding, kind)
+    found = decoded(msg)
+    assert depth_size(msg) == (80, 60)
     np.testing.assert_array_equal(np.isnan(found), np.isnan(sloped_m()))
     np.testing.assert_allclose(found, sloped_m(), atol=error_m)
     assert found.dtype == np.float32

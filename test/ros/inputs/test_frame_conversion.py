@@ -125,6 +125,31 @@ def test_a_cropped_and_binned_distorted_image_is_that_part_of_the_whole():
     assert error[5:-5, 5:-5].max() <= 1
 
 
+def test_a_rectified_camera_is_turned_as_r_says():
+    """As those of a stereo pair: R maps rays of the camera to those of the rectified one."""
+    turned, (u, v) = frame(), (30, 20)
+    rotation, _ = cv2.Rodrigues(np.radians([2.0, -5.0, 4.0]))
+    turned.camera_info.r = rotation.ravel().tolist()
+    dot = np.zeros_like(RGB)
+    dot[v - 1:v + 2, u - 1:u + 2] = 200
+    image = convert(replace(turned, image=image_msg(dot, 'rgb8')), rectify='true')
+    ray = rotation @ [(u - CAMERA.cx) / CAMERA.fx, (v - CAMERA.cy) / CAMERA.fy, 1.0]
+    seen = np.average(np.indices(RGB.shape[:2]).reshape(2, -1), axis=1,
+                      weights=image.rgb[..., 0].ravel())[::-1]
+    np.testing.assert_allclose(seen, (NEW.fx * ray[0] / ray[2] + NEW.cx,
+                                      NEW.fy * ray[1] / ray[2] + NEW.cy), atol=0.1)
+
+
+@pytest.mark.parametrize('binning', [0, 2])
+def test_a_calibration_without_a_size_has_that_of_the_image(binning):
+    unsized = frame()
+    info = unsized.camera_info
+    info.width = info.height = 0
+    info.binning_x = info.binning_y = binning
+    found = convert(unsized).intrinsics
+    assert (found.width, found.height, found.fx) == (80, 60, CAMERA.fx / max(binning, 1))
+
+
 @pytest.mark.parametrize('shape', [(60, 80), (30, 40), (120, 160), (45, 60)])
 def test_depth_with_the_same_view_is_resized_to_the_image(shape):
     image = convert(frame(depth=np.full(shape, 2.0, np.float32)))
@@ -155,19 +180,23 @@ def test_an_image_of_too_many_pixels_is_refused_with_the_parameter():
 
 def test_depth_is_rectified_with_its_image():
     depth_m = np.full((60, 80), 2.0, np.float32)
-    depth_m[:, 40:] = 5.0
-    image = convert(frame(DISTORTION['plumb_bob'], depth=depth_m))
-    values = image.depth_m[np.isfinite(image.depth_m)]
+    depth_m[:, 60:] = 5.0
+    bright = np.repeat((40 * depth_m)[..., None], 3, axis=2).astype(np.uint8)
+    image = convert(replace(frame(DISTORTION['plumb_bob'], depth=depth_m),
+                            image=image_msg(bright, 'rgb8')))
+    is_valid = np.isfinite(image.depth_m)
+    values = image.depth_m[is_valid]
     np.testing.assert_allclose(np.unique(values.round(5)), [2.0, 5.0])
+    assert np.mean((values > 3) == (image.rgb[is_valid, 0] > 140)) > 0.99
 
 
 @pytest.mark.parametrize('distortion', [(), (-0.2, 0.05, 0.0, 0.0, 0.0)])
 def test_a_large_image_is_reduced_first_with_its_depth_and_camera(distortion):
     """The reduced image is the whole one made smaller, whether it is rectified or not."""
     depth = np.linspace(1, 2, 80, dtype=np.float32)[None].repeat(60, axis=0)
-    whole = convert(frame(distortion, depth=depth))
-    small = FrameConverter('image_raw').convert(frame(distortion, depth=depth),
-                                                  NodeConfig(max_side=40))
+    converter = FrameConverter('image_raw')
+    whole, small = (converter.convert(frame(distortion, depth=depth), NodeConfig(max_side=side))
+                    for side in (0, 40))
     assert small.rgb.shape == (30, 40, 3)
     assert small.depth_m.shape == (30, 40)
     ours, theirs = small.intrinsics, whole.intrinsics

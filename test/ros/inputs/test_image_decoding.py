@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Every encoding, padding and byte order of the images, compressed ones, and what is refused."""
 
+import struct
+
 import cv2
 import numpy as np
 import pytest
@@ -122,6 +124,18 @@ def encoded(extension, size=SIZE, flags=()):
 def decoded(data, expected=SIZE, most_pixels=MOST_PIXELS):
     msg = CompressedImage(header=header(), format='jpeg', data=data)
     return rgb_from_compressed_msg(msg, expected, most_pixels)
+
+
+def test_the_orientation_in_a_jpeg_file_is_ignored():
+    """CameraInfo and depth are of the pixels as they are."""
+    rgb = np.zeros((16, 32, 3), np.uint8)
+    rgb[:, :16] = 255
+    data = cv2.imencode('.jpg', rgb)[1].tobytes()
+    upside_down = b'MM\0*' + struct.pack('>IHHHIHHI', 8, 1, 0x0112, 3, 1, 3, 0, 0)
+    exif = b'Exif\0\0' + upside_down
+    data = data[:2] + b'\xff\xe1' + struct.pack('>H', len(exif) + 2) + exif + data[2:]
+    assert cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)[0, 0, 0] < 10
+    assert decoded(data, (32, 16))[0, 0, 0] > 245
 
 
 @pytest.mark.parametrize('data', [

@@ -189,3 +189,6 @@ def test_gravity_of_the_imu_goes_with_the_frames():
     np.testing.assert_allclose(synchronizer.add_image(image(1.11))[0].gravity_camera, [0, 1, 0],
                                atol=1e-9, err_msg='a jolt is not gravity')
     assert synchronizer.add_image(image(5.0))[0].gravity_camera is None, 'the IMU has gone silent'
+    synchronizer.add_imu(imu(5.1, (-9.81, 0.0, 0.0)))
+    assert synchronizer.add_image(image(5.1))[0].gravity_camera is not None
+    assert synchronizer.add_image(image(1.0))[0].gravity_camera is None, 'time jumped back'

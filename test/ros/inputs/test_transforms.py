@@ -66,6 +66,14 @@ def test_a_circle_of_frames_is_an_error_too():
         looked_up(buffer, 'map', 'a')
 
 
+def test_a_frame_with_another_parent_leaves_the_one_before():
+    buffer = robot_buffer()
+    buffer.add(transform_msg('map', 'base_footprint', (7.0, 0.0, 0.0)), is_static=True)
+    assert looked_up(buffer, 'map', 'base_footprint').translation_m[0] == 7
+    with pytest.raises(TransformError):
+        looked_up(buffer, 'odom', 'base_footprint')
+
+
 def test_gravity_and_height_of_the_camera():
     transforms = FrameTransforms(robot_buffer(height_m=0.9))
     pose = transforms.camera_pose(header(1.5), NodeConfig(base_frame='base_footprint'))

@@ -275,6 +275,14 @@ def test_without_a_plane_the_clouds_are_empty_and_have_their_fields():
     assert not cloud_array(make('points', found=nothing))['label'].any()
 
 
+def test_the_units_of_json_are_null_without_metres():
+    for method, length, area in (('metric', 'm', 'm^2'), ('relative', None, None)):
+        units = json.loads(make('planes_json', found=scene.detection(
+            scale_method=method)).data)['units']
+        assert {units[name] for name in ('d', 'centroid', 'width', 'height', 'rms')} == {length}
+        assert (units['area'], units['num_inliers']) == (area, 'px')
+
+
 def test_planes_as_json():
     found = json.loads(OUTPUTS['planes_json'].make(scene.frame()).data)['planes']
     rows = cloud_array(OUTPUTS['planes'].make(scene.frame()))[0]
