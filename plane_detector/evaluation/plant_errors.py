@@ -235,7 +235,7 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
         ("'16uc1': ('u2', 0.001)", "'16uc1': ('u2', 0.01)", 'centimetres for millimetres'),
         ('counts - np.float32(shift)',
          'counts + np.float32(shift)', 'sign of the shift of inverse depth'),
-        ('x_m / z_m - ray_x', 'x_m / z_m + ray_x', 'mirrored rays of a cloud'),
+        ('x_m / z_m - own', 'x_m / z_m + own', 'mirrored rays of a cloud'),
         ('(msg.row_step, msg.point_step))',
          '(msg.width * msg.point_step, msg.point_step))', 'rows of a cloud without their ends')),
     'ros/inputs/rvl.py': (

@@ -99,15 +99,12 @@ def test_planes_are_fitted_to_their_pixels():
                                atol=2e-3)
 
 
-SMALL = CameraIntrinsics(131.0, 131.0, 79.5, 59.5, 160, 120)
-
-
 @pytest.mark.parametrize('method', peers.all_methods(), ids=lambda method: method.name)
 def test_every_method_finds_a_wall_or_says_why_it_cannot(method):
     if method.absent:
         pytest.skip(method.absent)
-    wall = single_wall(SMALL, yaw_deg=20, distance_m=2.0)
-    labels, planes = method(wall.depth_m, SMALL)
+    wall = single_wall(CAMERA, yaw_deg=20, distance_m=2.0)
+    labels, planes = method(wall.depth_m, CAMERA)
     result = score(wall.labels, wall.planes, labels, planes, np.isfinite(wall.depth_m))
     assert labels.shape == (120, 160)
     assert labels.max() == len(planes) - 1

@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 from sensor_msgs.msg import CompressedImage, Image, PointCloud2, PointField
 
+from plane_detector.depth.preprocessing import rays
 from plane_detector.geometry.disparity import limited_depth
 from plane_detector.ros.inputs.image_decoding import compressed_size, decompressed, pixels_of
 from plane_detector.ros.inputs.rvl import decode_rvl
@@ -130,12 +131,10 @@ def _check_size(width: int, height: int, most_pixels: int) -> None:
 
 def check_rays(msg: PointCloud2, intrinsics: CameraIntrinsics) -> None:
     """Raise ValueError if the points of an organised cloud are not on the rays of their pixels."""
-    rows, columns = (np.arange(count)[::_CHECKED_STEP] for count in (msg.height, msg.width))
-    x_m, y_m, z_m = (_field(msg, name)[np.ix_(rows, columns)] for name in 'xyz')
-    ray_x = ((columns + 0.5) * intrinsics.width / msg.width - 0.5 - intrinsics.cx) / intrinsics.fx
-    ray_y = ((rows + 0.5) * intrinsics.height / msg.height - 0.5 - intrinsics.cy) / intrinsics.fy
+    x_m, y_m, z_m = (_field(msg, name)[::_CHECKED_STEP, ::_CHECKED_STEP] for name in 'xyz')
+    own = rays(intrinsics, (msg.height, msg.width))[::_CHECKED_STEP, ::_CHECKED_STEP]
     with np.errstate(all='ignore'):  # NaN where nothing was measured
-        off = abs(x_m / z_m - ray_x) + abs(y_m / z_m - ray_y[:, None])
+        off = abs(x_m / z_m - own[..., 0]) + abs(y_m / z_m - own[..., 1])
     off = off[np.isfinite(off)]
     if len(off) and np.median(off) > _MOST_OFF_RAY:
         raise ValueError('the points of the cloud are not on the rays of their pixels: it must be '
