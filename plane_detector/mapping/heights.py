@@ -18,6 +18,9 @@ from plane_detector.compilation import kernel
 from plane_detector.geometry.rigid_transform import RigidTransform
 from plane_detector.types import Planes
 
+# The weight of a plane halves at this chi-squared, three times the expected one (Cauchy).
+ROBUST = 9.0
+
 
 @dataclass(frozen=True)
 class PlaneFrames:
@@ -121,7 +124,7 @@ def squared_misfits(frames: PlaneFrames, heights: np.ndarray, covariances: np.nd
 
 
 def normal_equations(frames: PlaneFrames, planes: Planes, index: np.ndarray,
-                     camera: RigidTransform, centre_m: np.ndarray, robust: float
+                     camera: RigidTransform, centre_m: np.ndarray
                      ) -> tuple[np.ndarray, np.ndarray]:
     """
     Return information (6, 6) and gradient (6,) of a pose, by the misfits of its planes.
@@ -137,14 +140,12 @@ def normal_equations(frames: PlaneFrames, planes: Planes, index: np.ndarray,
     camera : RigidTransform
         The pose; its change is a small rotation about ``centre_m`` (3,), then a shift.
     centre_m : (3,) float64
-    robust : float
-        The weight of a misfit halves at this chi-squared.
 
     """
     return _normal_equations(
         planes.normals[index], planes.offsets_m[index], planes.covariances[index],
         camera.rotation, camera.translation_m, frames.origins_m, frames.axes,
-        frames.coefficients, frames.covariances, centre_m, robust)
+        frames.coefficients, frames.covariances, centre_m)
 
 
 _V, _M, _T = 'float64[:, ::1]', 'float64[:, :, ::1]', 'float64[::1]'
@@ -216,10 +217,10 @@ def _squared(misfits, covariances):
     return squared
 
 
-@kernel(f'Tuple(({_V}, {_T}))({_V}, {_T}, {_M}, {_V}, {_T}, {_V}, {_M}, {_V}, {_M}, {_T}, '
-        'float64)', is_short=True)
+@kernel(f'Tuple(({_V}, {_T}))({_V}, {_T}, {_M}, {_V}, {_T}, {_V}, {_M}, {_V}, {_M}, {_T})',
+        is_short=True)
 def _normal_equations(normals, offsets, covariances, rotation, translation, origins, axes,
-                      coefficients, errors, centre, robust):
+                      coefficients, errors, centre):
     # The planes under this pose, see Planes.moved.
     count, to_map = len(normals), np.zeros((4, 4))
     to_map[:3, :3], to_map[3, 3] = rotation, 1.0
@@ -241,7 +242,7 @@ def _normal_equations(normals, offsets, covariances, rotation, translation, orig
         squared = columns[0, 6] ** 2 + columns[1, 6] ** 2 + columns[2, 6] ** 2
         for i in range(3):
             for j in range(6):
-                weighted = columns[i, j] / (1 + squared / robust)
+                weighted = columns[i, j] / (1 + squared / ROBUST)
                 gradient[j] += weighted * columns[i, 6]
                 for k in range(6):
                     information[j, k] += weighted * columns[i, k]

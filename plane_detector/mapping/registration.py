@@ -22,6 +22,7 @@ import numpy as np
 from plane_detector.config import MapConfig
 from plane_detector.geometry.rigid_transform import RigidTransform
 from plane_detector.mapping.heights import (
+    ROBUST,
     PlaneFrames,
     heights_of,
     normal_equations,
@@ -33,8 +34,6 @@ from plane_detector.types import Planes
 TYPICAL_M = 2.0
 # derived: the quantile .999 of chi-squared with three degrees of freedom.
 GATE = 16.27
-# The weight of a plane halves at this chi-squared, three times the expected one (Cauchy).
-_ROBUST = 9.0
 ROUNDS = 4
 MOST_CORRECTION_M = 0.2
 """A larger correction of the camera's position raises doubts about the poses."""
@@ -143,7 +142,7 @@ def register(prediction: Prediction, found: Planes, frames: PlaneFrames, index: 
     transform = prediction.transform
     for _ in range(ROUNDS):
         information, gradient = normal_equations(
-            frames, found, index, transform.after(prediction.pose), centre_m, _ROBUST)
+            frames, found, index, transform.after(prediction.pose), centre_m)
         information += prior
         step = np.linalg.solve(information, gradient - prior @ total)
         total = total + step
@@ -189,7 +188,7 @@ def heights_by_others(correction: Correction, frames: PlaneFrames, found: Planes
                                            centre_m=correction.camera.translation_m)
     weights = np.linalg.inv(alone + frames.covariances)
     squared = squared_misfits(frames, heights, alone)
-    weights *= (is_evidence / (1 + squared / _ROBUST))[:, None, None]
+    weights *= (is_evidence / (1 + squared / ROBUST))[:, None, None]
     transposed = jacobians.transpose(0, 2, 1)
     weighted = transposed @ weights
     errors = np.linalg.inv(np.linalg.inv(correction.error + _EXACT) - weighted @ jacobians)

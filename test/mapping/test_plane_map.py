@@ -32,6 +32,18 @@ def recording(name='box', images=40, variant=''):
     return record(name, 1, 0.0002, images, CAMERA, variant)
 
 
+def mapped(detections, poses, planes=None):
+    """Return the map of detections, one a second, and what each has changed."""
+    planes = planes or PlaneMap()
+    return planes, [planes.update(PlacedDetection(found, CAMERA, pose, float(k)))
+                    for k, (found, pose) in enumerate(zip(detections, poses, strict=True))]
+
+
+def sideways(*places_m):
+    """Return poses that differ in x only."""
+    return [RigidTransform(np.eye(3), np.array([x_m, 0.0, 0.0])) for x_m in places_m]
+
+
 @pytest.mark.parametrize('kind', ['exact', 'drift', 'jitter'])
 def test_one_plane_for_one_surface_whatever_the_poses(kind):
     result = score(recording(), kind, 0)
@@ -67,13 +79,9 @@ def test_a_crate_that_went_and_people_who_walk_through_leave_no_planes():
 
 
 def run(images=6, still=False, kind='exact'):
-    walked = recording().walked
-    poses = with_errors(walked.poses, kind, np.random.default_rng(0))
-    planes = PlaneMap()
-    updates = [planes.update(PlacedDetection(
-        recording().detections[0 if still else k], CAMERA, poses[0 if still else k], float(k)))
-        for k in range(images)]
-    return planes, updates
+    poses = with_errors(recording().walked.poses, kind, np.random.default_rng(0))
+    shown = [0 if still else k for k in range(images)]
+    return mapped([recording().detections[k] for k in shown], [poses[k] for k in shown])
 
 
 def test_equal_images_give_equal_maps():
@@ -105,28 +113,19 @@ def test_what_the_last_image_shows_is_known_better_where_it_is_seen():
 
 
 def test_one_image_says_little_of_the_systematic_error_of_the_sensor():
-    maps = []
-    for noise in (0.0, 0.002):
-        planes = PlaneMap()
-        for k in range(5):
-            found = replace(recording().detections[k], systematic_noise=noise if k == 3 else 0.0)
-            planes.update(PlacedDetection(found, CAMERA, recording().walked.poses[k], float(k)))
-        maps.append(planes.planes)
+    maps = [mapped([replace(recording().detections[k], systematic_noise=noise * (k == 3))
+                    for k in range(5)], recording().walked.poses[:5])[0].planes
+            for noise in (0.0, 0.002)]
     for one, other in zip(*maps, strict=True):
         assert (one.covariance == other.covariance).all()
 
 
 def test_a_systematic_error_does_not_average_out():
-    deviations = []
-    for images in (1, 20):
-        planes = PlaneMap()
-        for k in range(images):
-            # The camera moves enough for each view to count, and sees the same.
-            pose = RigidTransform(np.eye(3), np.array([0.1 * k, 0.0, 0.0]))
-            found = replace(recording().detections[0], systematic_noise=0.005)
-            planes.update(PlacedDetection(found, CAMERA, pose, float(k)))
-        deviations.append(np.sqrt(planes.planes[0].covariance[2, 2]))
-    assert deviations[1] > 0.5 * deviations[0]
+    found = replace(recording().detections[0], systematic_noise=0.005)
+    # The camera moves enough for each view to count, and sees the same.
+    once, often = (mapped([found] * images, sideways(*0.1 * np.arange(images)))[0].planes[0]
+                   for images in (1, 20))
+    assert np.sqrt(often.covariance[2, 2] / once.covariance[2, 2]) > 0.5
 
 
 def test_of_many_views_only_the_last_ones_count():
@@ -136,9 +135,8 @@ def test_of_many_views_only_the_last_ones_count():
         np.zeros((*noisy_m.shape, 3), np.uint8), CAMERA, noisy_m.astype(np.float32)),
         systematic_noise=0.0)
     planes, variances = PlaneMap(MapConfig(pose_drift=1e-6, pose_jitter=1e-6)), []
-    for k in range(81):
-        pose = RigidTransform(np.eye(3), np.array([0.06 * (k % 2), 0.0, 0.0]))
-        planes.update(PlacedDetection(found, CAMERA, pose, float(k)))
+    for pose in sideways(*0.06 * (np.arange(81) % 2)):
+        mapped([found], [pose], planes)
         variances.append(planes.planes[0].covariance[2, 2])
     views = variances[0] / np.array(variances)
     assert views[5] == pytest.approx((1 - FORGETTING**6) / (1 - FORGETTING), rel=0.02)
@@ -167,8 +165,7 @@ def test_a_network_is_a_fifth_of_the_distance_off_and_five_degrees_about_the_mid
     wall_m = single_wall(CAMERA, yaw_deg=40, distance_m=2.0).depth_m
     found = PlaneDetector(depth_model=lambda image: wall_m).detect(
         np.zeros((*wall_m.shape, 3), np.uint8), CAMERA)
-    planes = PlaneMap()
-    planes.update(PlacedDetection(found, CAMERA, RigidTransform.identity(), 0.0))
+    planes, _ = mapped([found], sideways(0.0))
     offset_m, tilt = found.planes[0].offset_m, np.radians(5.0)
     assert np.sqrt(np.diag(planes.planes[0].covariance)) == pytest.approx(
         [tilt, tilt, 0.2 * offset_m], rel=0.02)
@@ -186,13 +183,12 @@ def test_a_leaf_before_its_wall_is_another_plane_however_much_the_sensor_bends_t
     wall_m = np.full((CAMERA.height, CAMERA.width), 2.5, np.float32)
     leaf_m = wall_m.copy()
     leaf_m[30:, 50:110] -= 0.04
-    detector, planes = PlaneDetector(Config(depth=DepthConfig(source='topic'))), PlaneMap()
-    for k, depth_m in enumerate((wall_m, wall_m, leaf_m, leaf_m)):
-        pose = RigidTransform(np.eye(3), np.array([0.02 * k, 0.0, 0.0]))
-        found = detector.detect(np.zeros((*depth_m.shape, 3), np.uint8), CAMERA, depth_m)
-        bent = replace(found, systematic_noise=0.0018)
-        labels = planes.update(PlacedDetection(bent, CAMERA, pose, float(k))).labels
-    assert labels.tolist() == [1, 2]
+    detector = PlaneDetector(Config(depth=DepthConfig(source='topic')))
+    rgb = np.zeros((*wall_m.shape, 3), np.uint8)
+    bent = [replace(detector.detect(rgb, CAMERA, depth_m), systematic_noise=0.0018)
+            for depth_m in (wall_m, wall_m, leaf_m, leaf_m)]
+    *_, last = mapped(bent, sideways(0.0, 0.02, 0.04, 0.06))[1]
+    assert last.labels.tolist() == [1, 2]
 
 
 def test_a_wall_is_not_the_picture_that_it_covers():
@@ -227,7 +223,7 @@ def test_without_metres_there_is_no_map():
     planes, _ = run(1)
     unscaled = replace(recording().detections[0], scale_method='relative')
     with pytest.raises(ValueError, match='no map without metres'):
-        planes.update(PlacedDetection(unscaled, CAMERA, recording().walked.poses[0], 0.0))
+        mapped([unscaled], recording().walked.poses[:1], planes)
     assert planes.images == 1
 
 
@@ -236,11 +232,8 @@ def test_a_plane_whose_normal_is_hardly_known_is_not_added():
     covariances = found.planes.covariances.copy()
     covariances[0] += np.diag([0.1**2] * 3 + [0.0])
     unclear = replace(found, planes=replace(found.planes, covariances=covariances))
-    shapes = []
-    for one in (found, unclear):
-        planes = PlaneMap()
-        update = planes.update(PlacedDetection(one, CAMERA, pose, 0.0))
-        shapes.append([plane.cells.hits.shape for plane in planes.planes])
+    (sure, _), (planes, (update,)) = (mapped([one], [pose]) for one in (found, unclear))
+    shapes = [[plane.cells.hits.shape for plane in one.planes] for one in (sure, planes)]
     assert update.labels[0] == 0 and (update.labels[1:] > 0).any()
     assert shapes[1] == shapes[0][1:], 'nor do its points enlarge another one'
 
@@ -249,8 +242,7 @@ def test_labels_are_not_used_again_after_clear():
     planes, updates = run(2)
     planes.clear()
     assert planes.planes == ()
-    update = planes.update(PlacedDetection(recording().detections[0], CAMERA,
-                                           recording().walked.poses[0], 0.0))
+    _, (update,) = mapped(recording().detections[:1], recording().walked.poses[:1], planes)
     assert update.labels.min() > updates[-1].labels.max()
 
 
@@ -260,7 +252,7 @@ def test_an_image_without_planes_changes_nothing(images):
     before = [plane.label for plane in planes.planes]
     blank = PlaneDetector(Config(depth=DepthConfig(source='topic'))).detect(
         np.zeros((120, 160, 3), np.uint8), CAMERA, np.full((120, 160), np.nan, np.float32))
-    update = planes.update(PlacedDetection(blank, CAMERA, recording().walked.poses[3], 0.0))
+    _, (update,) = mapped([blank], recording().walked.poses[3:4], planes)
     assert update.labels.size == 0
     assert [plane.label for plane in planes.planes] == before
     assert set(planes.snapshot().planes.labels) <= set(before)
@@ -270,12 +262,10 @@ def test_both_sides_of_a_thin_panel_are_two_planes():
     rng = np.random.default_rng(0)
     walked = walk('panel', rng, 24)
     detector = PlaneDetector(Config(depth=DepthConfig(source='topic')))
-    planes = PlaneMap()
-    for k in range(24):
-        scene = walked.scene(k, CAMERA, rng)
-        found = detector.detect(scene.rgb, CAMERA,
-                                with_disparity_noise(scene.depth_m, 0.001, rng))
-        planes.update(PlacedDetection(found, CAMERA, walked.poses[k], float(k)))
+    scenes = [walked.scene(k, CAMERA, rng) for k in range(24)]
+    planes, _ = mapped([detector.detect(
+        scene.rgb, CAMERA, with_disparity_noise(scene.depth_m, 0.001, rng)) for scene in scenes],
+        walked.poses)
     sides = [plane for plane in planes.planes
              if abs(plane.axes[2, 2]) < 0.1 and np.linalg.norm(plane.centroid_m[:2]) < 0.5
              and plane.cells.area_m2 > 0.5]
