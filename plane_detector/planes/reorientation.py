@@ -195,22 +195,21 @@ def _continuous(regions: PixelRegions, planes: Planes, intrinsics: CameraIntrins
     """Return which regions (K, K) touch without a jump of the depth between them."""
     slopes = -planes.normals[:, :2] / planes.offsets_m[:, None]
     slopes /= [intrinsics.fx, intrinsics.fy]
-    pairs, jumps = _border_jumps(regions.labels, np.ascontiguousarray(regions.disparity), slopes,
-                                 BORDER_REACH_PX)
+    pairs, jumps = _border_jumps(regions.labels, np.ascontiguousarray(regions.disparity), slopes)
     jumps = np.abs(jumps - jumps.T) / np.maximum(pairs + pairs.T, 1)
     sigma_rad = np.maximum(sigmas_rad[:, None], sigmas_rad)
     return (pairs + pairs.T > 0) & (jumps < STEP_PER_RAD * sigma_rad)
 
 
 @kernel('Tuple((float64[:, ::1], float64[:, ::1]))(int32[:, ::1], float32[:, ::1], '
-        'float64[:, ::1], int64)', subject='network')
-def _border_jumps(labels, disparity, slopes, reach):
+        'float64[:, ::1])', subject='network')
+def _border_jumps(labels, disparity, slopes):
     """
     Return pairs (K, K) of pixels across borders, and their relative jumps of 1/z, summed.
 
     Every fourth row is searched for borders to the right, every fourth column for those below.
     """
-    count = len(slopes)
+    count, reach = len(slopes), BORDER_REACH_PX
     pairs, jumps = np.zeros((count, count)), np.zeros((count, count))
     height, width = labels.shape
     for axis in range(2):
