@@ -69,7 +69,9 @@ def fit_floor(planes: DisparityPlanes, found: ShiftEstimate, down: np.ndarray,
     floor = level & (ratio < SAME_HEIGHT) & (ratio > 1.0 / SAME_HEIGHT)
     share = planes.pixel_share[floor]
     floor_height = np.average(height[floor], weights=share)
-    if share.sum() < MIN_FLOOR_SHARE or _anything_below(planes, level, height / floor_height):
+    below = height / floor_height > BELOW_MARGIN
+    if (share.sum() < MIN_FLOOR_SHARE or (level & below).any()
+            or planes.pixel_share[below].sum() > MAX_SHARE_BELOW):
         return None
     scale = floor_height / height_m
     center = np.append(np.average(planes.centers[floor], axis=0, weights=share), 1.0)
@@ -92,8 +94,3 @@ def _level_and_height(planes: DisparityPlanes, tau: float, down: np.ndarray,
     height = rays @ down / np.maximum((rays * unscaled).sum(1), 1e-30)
     return level & (height > 0), height
 
-
-def _anything_below(planes: DisparityPlanes, level: np.ndarray, ratio: np.ndarray) -> bool:
-    """Return whether a horizontal plane, or many pixels of other planes, lie below the floor."""
-    below = ratio > BELOW_MARGIN
-    return bool((level & below).any() or planes.pixel_share[below].sum() > MAX_SHARE_BELOW)

@@ -46,7 +46,7 @@ def update_scale(state: ScaleState | None, measured: ScaleEstimate,
 
 def _after(state: ScaleState, measured: ScaleEstimate, config: ScaleConfig) -> ScaleState:
     current = state.estimate
-    if _kind(measured) == _kind(current):
+    if (measured.method, measured.is_metric) == (current.method, current.is_metric):
         if measured.method not in MEASURED:
             return ScaleState(measured)
         return _blend(state, _in_same_unit(measured, current), config)
@@ -69,10 +69,6 @@ def depth_change(estimate: ScaleEstimate, other: ScaleEstimate) -> float:
     if inverse.min() <= 0:
         return np.inf
     return float(np.expm1(np.abs(np.log(other_inverse / inverse)).max()))
-
-
-def _kind(estimate: ScaleEstimate) -> tuple[str, bool]:
-    return estimate.method, estimate.is_metric
 
 
 def _rank(estimate: ScaleEstimate) -> tuple[bool, int]:

@@ -32,12 +32,6 @@ _FILE = 'plane_detector.rviz'
 _NODE, _FRAME = 'plane_detector/', 'Fixed Frame: camera_optical_frame'
 
 
-def with_frame(config: str, frame: str, node_name: str) -> str:
-    """Return the text of an RViz configuration with another fixed frame and node name."""
-    return (config.replace(_FRAME, f'Fixed Frame: {frame}')
-            .replace(f'Value: {_NODE}', f'Value: {node_name}/'))
-
-
 def wait_for_frame(node: Node, timeout_s: float) -> str:
     """Return the frame of the camera; TimeoutError without CameraInfo within this time."""
     topic = input_topics(node, 'raw', DepthConfig())['camera_info']
@@ -89,7 +83,8 @@ def main(args: list[str] | None = None) -> int:
             rclpy.try_shutdown()
     folder = Path(tempfile.mkdtemp(prefix='plane_detector_'))
     file = folder / _FILE
-    file.write_text(with_frame(find_config().read_text('utf-8'), frame, options.node), 'utf-8')
+    config = find_config().read_text('utf-8').replace(_FRAME, f'Fixed Frame: {frame}')
+    file.write_text(config.replace(f'Value: {_NODE}', f'Value: {options.node}/'), 'utf-8')
     return os.execv(program, [program, '-d', str(file), *of_ros])
 
 

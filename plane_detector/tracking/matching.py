@@ -76,17 +76,6 @@ def split_by(pixels: np.ndarray, sizes: np.ndarray) -> list[np.ndarray]:
     return [pixels[begin:end] for begin, end in itertools.pairwise([0, *ends])]
 
 
-def likeness(nearness: np.ndarray, overlap: Overlap, deviation2: np.ndarray) -> np.ndarray:
-    """
-    Return how well planes agree in position and coefficients, (T, N), 0 to 1.
-
-    The positions agree by shared pixels or, if the camera has turned so far that there are none,
-    by the nearness of the centroids. The coefficients agree by their squared deviation.
-    """
-    place = np.maximum((overlap.of_union + overlap.of_known) / 2, nearness)
-    return place * np.exp(-0.5 * deviation2)
-
-
 def compare(before: Planes, after: Planes, growth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """
     Compare T planes with N others in the same camera frame.

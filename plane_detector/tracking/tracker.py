@@ -24,7 +24,6 @@ from plane_detector.tracking.matching import (
     Overlap,
     compare,
     labels_of_found,
-    likeness,
     matched,
     measure_overlap,
     sorted_pixels,
@@ -110,7 +109,9 @@ def update_tracks(known: KnownPlanes, found: PlaneSegmentation, config: Tracking
     overlap = measure_overlap(known.pixels, known.sizes, image, sizes)
     moved = _moved_along(known, after, sizes, overlap)
     deviation2, nearness = compare(moved, after, 1 + known.missed)
-    score = likeness(nearness, overlap, deviation2)
+    # By shared pixels or, if the camera has turned so far that there are none, by the centroids.
+    place = np.maximum((overlap.of_union + overlap.of_known) / 2, nearness)
+    score = place * np.exp(-0.5 * deviation2)
     trust = (1 - _YOUTH / known.streaks) * np.where(known.missed > 0, _MISSED, 1.0)
     match = matched(np.where(score < _MIN_SCORE, 0, score) * trust[:, None], 0.0)
     labels, gone = labels_of_found(moved.labels, known.missed, match, config.keep_frames)

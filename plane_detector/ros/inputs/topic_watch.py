@@ -8,8 +8,9 @@ import difflib
 import statistics
 import time
 from collections import deque
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 from rclpy.node import Node
@@ -82,7 +83,7 @@ class TopicWatch:
     def _problem_of(self, role: str, topic: _Topic, now_s: float) -> str:
         if not topic.heard_s:
             return self._unheard(role, topic, now_s)
-        interval_s = _interval_s(topic.heard_s)
+        interval_s = _usual_interval(topic.heard_s, _FIRST_INTERVAL_S)
         patience_s = max(GRACE_S, _STOPPED_INTERVALS * interval_s)
         if topic.may_stop or now_s - topic.heard_s[-1] < patience_s:
             return ''
@@ -194,11 +195,10 @@ def _other_transport(role: str, topic: str, type_name: str, published: Mapping[s
     return f'; {names[0]} is a {other}: set {parameter} to {value}'
 
 
-def _interval_s(heard_s: Sequence[float]) -> float:
-    """Return the usual time between two messages."""
-    times_s = list(heard_s)
-    intervals_s = [after - before for before, after in zip(times_s, times_s[1:], strict=False)]
-    return statistics.median(intervals_s) if intervals_s else _FIRST_INTERVAL_S
+def _usual_interval(times: Iterable[float], before_second: float) -> float:
+    """Return the median between two times, or what is assumed before the second."""
+    return statistics.median([after - before for before, after in pairwise(times)]
+                             or [before_second])
 
 
 # chosen: long enough to count losses of a fifth, short enough to follow a camera.
@@ -239,10 +239,7 @@ class ArrivalCount:
     @property
     def period_s(self) -> float:
         """Usual time between two images; infinite before the second."""
-        stamps = sorted(set(self._images))
-        return statistics.median(
-            [after - before for before, after in zip(stamps, stamps[1:], strict=False)]
-            or [float('inf')]) * 1e-9
+        return _usual_interval(sorted(set(self._images)), float('inf')) * 1e-9
 
     def arrivals(self) -> Arrivals:
         """Return the numbers for the last seconds before the last image."""

@@ -211,7 +211,8 @@ def _is_depth(msg: Image | CompressedImage) -> bool:
 def _best_image(bag: BagReader, candidates: Sequence[Topic]) -> str:
     """Return the best topic: colour, then rectified, then raw; raise if several are equal."""
     preferences = (lambda topic: _beside(bag, topic.name) != [],
-                   lambda topic: _encoding(bag, topic) not in _GREY_ENCODINGS,
+                   lambda topic: getattr(_first(bag, topic.name), 'encoding', '').lower()
+                   not in _GREY_ENCODINGS,
                    lambda topic: _RECTIFIED_WORD in topic.name,
                    lambda topic: topic.msg_type == 'sensor_msgs/msg/Image')
     for preferred in preferences:
@@ -253,11 +254,6 @@ def _only(bag: BagReader, role: str, candidates: Sequence[Topic]) -> str:
              and _CLASSES.get(topic.msg_type) in _ROLES[role] and not _first(bag, topic.name)]
     why = f', and no message is recorded on {", ".join(empty)}' if empty else ''
     raise BagError(f'no topic for {option} was found{why}. {bag.describe()}')
-
-
-def _encoding(bag: BagReader, topic: Topic) -> str:
-    """Return the encoding of the first image, in lower case; empty for a compressed one."""
-    return getattr(_first(bag, topic.name), 'encoding', '').lower()
 
 
 def _first(bag: BagReader, topic: str) -> Any:
