@@ -119,8 +119,14 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
         ('1] + np.sin(angle) * bases[best, 2',
          '2] + np.sin(angle) * bases[best, 1', 'swapped axes')),
     'directions/gravity_choice.py': (
+        ('LIKELY_SIGMAS * float(sigma', 'LIKELY_SIGMAS / float(sigma',
+         'the surest vertical is off most'),
+        ('self.tolerance_deg <= COARSE', 'self.tolerance_deg > COARSE',
+         'coarse gravity is sure'),
         ("' if measured is None", "' if measured is not None", 'wrong source of gravity'),),
     'directions/finder.py': (
+        ('(abs(same @ same.T) > math', '(abs(same @ same.T) < math',
+         'one plane shows every turn'),
         ('None if image.has_shift else surface, *by', 'surface, *by',
          'normals at a guessed shift are evidence'),
         ('hold_time * self._hold_times', 'hold_time / self._hold_times',
@@ -132,6 +138,8 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
         ('(self.top * down)', '(self.left * down)', 'borders of the other axis'),
         ('height / height) - 0.5', 'height / height)', 'half a pixel off')),
     'depth/readers.py': (
+        ('1 / np.maximum(depth, _MIN', '1 * np.maximum(depth, _MIN',
+         'far points decide the shift of a point map'),
         ('framing.focal_px(intrinsics) / self.canonical_focal_px',
          'self.canonical_focal_px / framing.focal_px(intrinsics)', 'lens inverted'),
         ('intrinsics.fy / intrinsics.height / focal_per_height',
@@ -139,18 +147,40 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
          'correction of the lens inverted'),
         (', dtype=float) >', ', dtype=float) <', 'normals away from the camera')),
     'depth/views.py': (
+        ('np.minimum(inner[::-1]', 'np.maximum(inner[::-1]',
+         'crops end in a step'),
+        ('view.is_at_end) * is_valid', 'view.is_at_end) / is_valid',
+         'invalid pixels of a crop are infinite'),
         ('cv2.flip(crop, 1) if view.is_mirrored else crop',
          'crop + 0', 'a mirrored view not turned back'),),
     'depth/far.py': (
+        ('blur(grey * grey', 'blur(grey / grey',
+         'a textured wall is sky'),
+        ('rgb[..., 2] - rgb[..., 0] >=', 'rgb[..., 1] - rgb[..., 0] >=',
+         'green for blue'),
         ('darkest = np.minimum(', 'darkest = np.maximum(', 'a yellow wall is an overexposed sky'),
         ('FAR_DEVIATIONS * noise', 'noise', 'dropped factor of the noise'),
         ('_is_bright(small, _MIN_FLAT_GREY, 0.0)', '_is_bright(small, 0.0, 0.0)',
          'dark regions are sky')),
     'depth/temporal_filter.py': (
+        ('known[thinned].any()', 'known[thinned].all()',
+         'nothing moves beside an invalid pixel'),
+        ('mean = np.abs(_block_means(difference))', 'mean = (_block_means(difference))',
+         'what becomes farther does not move'),
+        ('(high - low)', '(high + low)',
+         'the range of disparities from zero'),
         ('PER_MEDIAN * np.median(residual)', 'PER_MEDIAN / np.median(residual)',
          'wild values change the scale'),
         ('min(keep, previous.image_count / (previous.image_count + 1))',
          'keep', 'the first images weigh more'),),
+    'depth/observation.py': (
+        ('values / np.float32(median', 'values * np.float32(median',
+         'relative depth times its median'),),
+    'depth/plausibility.py': (
+        ('correlation < -_MIN', 'correlation < _MIN',
+         'a network that sees no corridor is refused'),
+        ("-_FACES_M['left'] / x", "-_FACES_M['left'] * x",
+         'a wall of the corridor is bent')),
     'shapes/surfels.py': (
         ('/ camera.fy', '/ camera.fx', 'fx for fy in the points of cells'),),
     'shapes/views.py': (
@@ -197,6 +227,12 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
         ('inverse[:, None], self', '1.0, self', 'off the plane, not along gravity'),
         ('(down[2], -1, 1)', '(down[1], -1, 1)', 'tilt about the wrong axis')),
     'ground/along_ways.py': (
+        ('min(-off, under)', 'max(-off, under)',
+         'lower than a ramp would be'),
+        ('margin = abs(s) * z * z', 'margin = s * z * z',
+         'errors of depth are drops'),
+        ('0.5 * (ray_y[v] + ray_y[h])', '0.5 / (ray_y[v] + ray_y[h])',
+         'another ray of a border'),
         ('planes[a, 3]) <= max_step', 'planes[a, 3]) >= max_step',
          'planes that meet are apart'),
         ('else z * _far(down, x, y)', 'else z * sight', 'down for ahead'),
@@ -230,8 +266,12 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
         ('smaller.label in larger.apart or larger.label in smaller.apart',
          'larger.label == smaller.label', 'planes that an image has shown apart become one'),),
     'ros/inputs/image_decoding.py': (
+        ('cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION', 'cv2.IMREAD_COLOR',
+         'images are turned as their files say'),
         (">' if msg.is_bigendian else '<", "<' if msg.is_bigendian else '>", 'byte order'),),
     'ros/inputs/depth_decoding.py': (
+        ("_field(msg, 'z') * (unit_m or 1.0)", "_field(msg, 'z')",
+         'clouds without the unit'),
         ("'16uc1': ('u2', 0.001)", "'16uc1': ('u2', 0.01)", 'centimetres for millimetres'),
         ('counts - np.float32(shift)',
          'counts + np.float32(shift)', 'sign of the shift of inverse depth'),
@@ -241,10 +281,24 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
     'ros/inputs/rvl.py': (
         ('-(changes & 1)', '(changes & 1)', 'sign of a change of depth'),
         ('np.arange(28, -1, -4', 'np.arange(0, 32, 4', 'nibbles from the lower end')),
+    'ros/inputs/frame_conversion.py': (
+        ('_with_size(info, rgb)', 'info',
+         'a calibration without a size'),
+        ('(reduction, info.distortion_model', '(info.distortion_model',
+         'maps of another size are kept'),
+        ('np.reshape(info.r, (3, 3)), rectified', 'np.reshape(info.r, (3, 3)).T, rectified',
+         'R inverted'),
+        ('None if depth_m is None else rectification.depth(depth_m)', 'depth_m',
+         'depth is not rectified')),
+    'ros/inputs/synchronizer.py': (
+        ('            self._gravity.reset()\n', '',
+         'gravity from before a jump back in time'),),
     'ros/calibration.py': (
         ('msg.roi.x_offset', 'msg.roi.y_offset', 'swapped offsets of a cut image'),
         ('.y_offset) / every_y', '.y_offset) / every_x', 'binning of the other axis')),
     'ros/inputs/transforms.py': (
+        ('if edge is None or edge.parent != msg.header.frame_id:', 'if edge is None:',
+         'a frame with two parents'),
         ('-to_base.rotation[2]', '-to_base.rotation[:, 2]', 'gravity in the wrong frame'),),
     'ros/outputs/clouds.py': (
         ("normal_x', 'normal_y", "normal_y', 'normal_x", 'swapped fields of ~/planes'),
@@ -257,6 +311,16 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
     'ros/outputs/frame.py': (
         ('[found.shape_labels[is_shape]]', '[found.shape_labels[is_shape] - 1]',
          'pixels of another shape'),),
+    'ros/outputs/map_messages.py': (
+        ('rectangles_of(surfaces).moved(view.snapshot.to_poses)', 'rectangles_of(surfaces)',
+         'rectangles of a map before its correction'),
+        ('np.sqrt(planes.normal_variances)', 'planes.normal_variances',
+         'variances of a map for deviations'),
+        ('view.snapshot.to_poses.points(_triangles(plane))', '_triangles(plane)',
+         'surfaces of a map before its correction')),
+    'ros/outputs/plane_json.py': (
+        ("'m^2' if is_metric else None", "'m^2'",
+         'areas in metres without metres'),),
     'ros/outputs/messages.py': (
         ('(z_axes, x_axes)', '(x_axes, z_axes)', 'poses are mirrored'),)}
 

@@ -17,6 +17,7 @@ from plane_detector.directions.posterior import (
     log_odds_down,
     usual_inverse_depth,
 )
+from plane_detector.directions.vanishing import SceneDirections
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.evaluation.scenes.rooms import attic, corridor, random_room
 from plane_detector.evaluation.scenes.textures import rolled_room, room_from_above, textured
@@ -41,6 +42,15 @@ def test_the_upright_of_a_still_camera_does_not_flicker(make, seed):
         found.append(around.gravity.gravity_camera)
     cosine = np.array(found) @ np.array(found).T
     assert np.degrees(np.arccos(np.clip(cosine, -1, 1))).max() < FLICKER_DEG
+
+
+def test_axes_are_gravity_and_both_directions_of_each_pair():
+    pairs = np.arange(12.0).reshape(2, 2, 3)
+    found = finder.ImageDirections(None, SceneDirections(np.ones(3), np.eye(3), pairs))
+    np.testing.assert_array_equal(found.axes, [np.ones(3), *pairs[0]])
+    np.testing.assert_array_equal(found.all_axes, [np.ones(3), *pairs[0], *pairs[1]])
+    nothing = finder.ImageDirections(None, SceneDirections(None, np.eye(3), pairs[:0]))
+    assert nothing.axes.shape == nothing.all_axes.shape == (0, 3)
 
 
 @pytest.mark.parametrize('seed', [303, 304, 313])
@@ -188,7 +198,8 @@ def test_a_wall_ahead_with_a_floor_is_still_a_wall():
     assert found.modes.downs[0] @ scene.gravity_camera > np.cos(np.radians(2))
 
 
-def search_times(monkeypatch, turn_deg=0.0, is_still=True, is_trusted=True, hold_time=0.1):
+def search_times(monkeypatch, turn_deg=0.0, is_still=True, is_trusted=True, hold_time=0.1,
+                 walls=2):
     """Return when lines are sought, of images every quarter second while the camera turns."""
     times, finder = [], DirectionFinder()
     config = Config(directions=DirectionsConfig(hold_time=hold_time))
@@ -197,12 +208,12 @@ def search_times(monkeypatch, turn_deg=0.0, is_still=True, is_trusted=True, hold
                         lambda image, *_: times.append(image.stamp_s) or nothing)
     for step in range(32):
         turn = cv2.Rodrigues(np.radians([0.0, step * turn_deg, 0.0]))[0]
-        walls = Planes.of([Plane(turn @ normal, 2.0, -2.0 * turn @ normal, 5000, 0.0, 1.0,
-                                 np.eye(4), 1.0, label=k + 1)
-                           for k, normal in enumerate(-np.eye(3)[[2, 0]])])
+        planes = Planes.of([Plane(turn @ normal, 2.0, -2.0 * turn @ normal, 5000, 0.0, 1.0,
+                                  np.eye(4), 1.0, label=k + 1)
+                            for k, normal in enumerate(-np.eye(3)[[2, 0]][:walls])])
         finder.find(CameraImage(None, CAMERA, stamp_s=1 + step / 4, is_still=is_still), None,
                     config, for_planes=True)
-        finder.note_planes(PlaneSegmentation(walls, np.zeros((100, 100), np.int32), 0.0),
+        finder.note_planes(PlaneSegmentation(planes, np.zeros((100, 100), np.int32), 0.0),
                            is_trusted)
     return times
 
@@ -213,6 +224,7 @@ def test_lines_are_held_ever_longer_while_planes_show_no_turn(monkeypatch, hold_
     assert search_times(monkeypatch, hold_time=hold_time) == expected
 
 
-@pytest.mark.parametrize('moves', [{'turn_deg': 1.0}, {'is_still': False}, {'is_trusted': False}])
+@pytest.mark.parametrize('moves', [{'turn_deg': 1.0}, {'is_still': False}, {'is_trusted': False},
+                                   {'walls': 1}])
 def test_lines_are_hardly_held_while_something_may_move(monkeypatch, moves):
     assert len(search_times(monkeypatch, **moves)) >= 16, 'held for no more than one image'
