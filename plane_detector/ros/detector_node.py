@@ -324,13 +324,22 @@ class PlaneDetectorNode(LifecycleNode):
             raise_if_stopped()  # two networks at once could exceed the memory
         # The network first: a reason why there is none is known before loops are compiled.
         detector = PlaneDetector(self._live.config, self._depth_model)
-        log = self.get_logger().info
-        load_kernels(self._live.config, log)
+        load_kernels(self._live.config, self.get_logger().info)
         tidy_after_loading()
         # Planes are published meanwhile; a frame whose obstacles somebody wants waits for it.
-        Background(partial(compile_kernels, ['ground_pixels'], log, 'the loops of ground, '
-                           'obstacles and drops'), 'load_kernels')
+        Background(self._load_late_kernels, 'load_kernels')
         return detector
+
+    def _load_late_kernels(self) -> None:
+        self._health.late_failure = ''
+        try:
+            compile_kernels(['ground_pixels'], self.get_logger().info,
+                            'the loops of ground, obstacles and drops')
+        except Exception as error:
+            reason = plain(f'{type(error).__name__}: {error}')
+            self._health.late_failure = reason
+            self.get_logger().error(f'no ground, obstacles and drops, whose loops cannot be '
+                                    f'compiled: {reason}')
 
     def _fail(self, reason: str, may_pass: bool = False) -> TransitionCallbackReturn:
         reason = plain(reason, MOST_OF_FAILURE)

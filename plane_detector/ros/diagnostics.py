@@ -145,6 +145,8 @@ class Health:
         Why the node could not be configured or activated; empty if it could.
     may_pass : bool
         Whether the cause may be temporary, such as an unreachable host.
+    late_failure : str
+        Why the loops of ground, obstacles and drops could not be compiled; empty if they could.
 
     """
 
@@ -152,6 +154,7 @@ class Health:
         self._logger = logger
         self.failure = ''
         self.may_pass = False
+        self.late_failure = ''
         self.clear()
 
     def clear(self) -> None:
@@ -165,7 +168,7 @@ class Health:
     @property
     def facts(self) -> dict[str, str]:
         """Facts from the last frame: source of the unit, source of gravity."""
-        return _facts_of(self._last) if self._last is not None else {}
+        return _facts_of(self._last, self.late_failure) if self._last is not None else {}
 
     def note(self, detection: Detection, wanted: Collection[str], stamp_s: float = 0.0) -> None:
         """
@@ -223,7 +226,7 @@ class Health:
         return DiagnosticStatus.OK, 'active'
 
 
-def _facts_of(detection: Detection) -> dict[str, str]:
+def _facts_of(detection: Detection, late_failure: str) -> dict[str, str]:
     """Return the facts of a frame for the diagnostics."""
     facts = {'scale': detection.scale_method, 'scale_note': detection.scale_note,
              'gravity': detection.gravity_source}
@@ -252,6 +255,8 @@ def _facts_of(detection: Detection) -> dict[str, str]:
     facts['drops'] = (
         f'not looked for: {detection.drop_note}' if detection.drop_note else
         f'{len(detection.drops_m)} points' if are_ready('ground_pixels') else
+        f'not counted, their loops cannot be compiled ({late_failure}): restart the node; if that '
+        'fails too, install numba anew' if late_failure else
         'not counted: their loops are being compiled')
     facts['shapes'] = (f'not searched for: {detection.shape_note}' if detection.shape_note
                        else str(len(detection.shapes)))

@@ -23,7 +23,7 @@ from std_srvs.srv import Trigger
 from plane_detector.depth.networks import NETWORKS
 from plane_detector.depth.observation import DepthFunction
 from plane_detector.planes.classification import PlaneClass
-from plane_detector.ros import detector_node, live_settings, transitions
+from plane_detector.ros import detector_node, diagnostics, live_settings, transitions
 from plane_detector.ros.detector_node import PlaneDetectorNode
 from plane_detector.ros.diagnostics import Report, introduction, large_image, slow_network
 from plane_detector.shapes import detector
@@ -333,6 +333,20 @@ def test_planes_are_found_while_the_loops_of_drops_are_compiled(robot, room, mon
     assert robot.wait_for('planes', 1)[-1].header == header(1.0)
     assert begun == [['ground_pixels']] and not finished.is_set()
     finished.set()
+
+
+def test_loops_that_cannot_be_compiled_later_are_said(robot, room, monkeypatch):
+    def fail(*_):
+        raise MemoryError('no room')
+
+    monkeypatch.setattr(detector_node, 'compile_kernels', fail)
+    monkeypatch.setattr(diagnostics, 'are_ready', lambda subject: False)
+    start(robot, lambda rgb: room.depth_m, {'scale.gravity': [0.0, 1.0, 0.0]})
+    assert robot.is_logged('no ground, obstacles and drops, whose loops cannot be compiled')
+    send(robot, room, 1.0)
+    assert robot.wait_for('planes', 1)[-1].header == header(1.0)
+    drops = robot.diagnosis()[1]['drops']
+    assert 'MemoryError: no room' in drops and 'restart the node' in drops
 
 
 @pytest.fixture
