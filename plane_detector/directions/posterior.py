@@ -144,14 +144,11 @@ class Modes:
 
     def density(self, downs: np.ndarray, error_rad: float) -> np.ndarray:
         """Return the density (C,) at verticals (C, 3), 1/sr, blurred by an error."""
-        found = np.zeros(len(downs))
-        for down, covariance, mass in zip(self.downs, self.covariances, self.masses, strict=True):
-            wide = covariance + error_rad**2 * np.eye(3)
-            off = downs - down
-            squares = (off @ np.linalg.inv(wide) * off).sum(axis=1)
-            area = 2 * np.pi * np.sqrt(np.linalg.det(wide) / (down @ wide @ down))
-            found += mass / area * np.exp(-0.5 * squares)
-        return found
+        wide, off = self.covariances + error_rad**2 * np.eye(3), downs - self.downs[:, None]
+        squares = (off @ np.linalg.inv(wide) * off).sum(axis=2)
+        along = np.einsum('ki,kij,kj->k', self.downs, wide, self.downs)
+        areas = 2 * np.pi * np.sqrt(np.linalg.det(wide) / along)
+        return ((self.masses / areas)[:, None] * np.exp(-0.5 * squares)).sum(axis=0)
 
 
 @dataclass(frozen=True)
@@ -452,48 +449,58 @@ def _with_normal_error(evidence: Evidence) -> Evidence:
     """Return evidence with the error of its normals for which they are most likely."""
     if not len(evidence.normals):
         return evidence
-    tilts, *grid = _coarse_grid(False)
-    grid = [part[np.abs(tilts[:, 1]) < 3 * HELD_DEG[1]] for part in grid]
-    alone = replace(evidence, lines=evidence.lines[:0])
-    azimuths = np.tile(np.arange(0, 90, 2 * STEP_DEG), (len(grid[0]), 1))
+    tilts, bases, log_area, mounted = _coarse_grid(False)
+    is_near = np.abs(tilts[:, 1]) < 3 * HELD_DEG[1]
+    log_prior = (log_area + log_prior_density(bases[:, 0], Expected(), evidence, COARSE_ERROR_DEG,
+                                              mounted))[is_near, None]
+    alone, bases = replace(evidence, lines=evidence.lines[:0]), bases[is_near]
+    azimuths = np.tile(np.radians(np.arange(0, 90, 2 * STEP_DEG)), (len(bases), 1))
     tried = [replace(alone, normal_rad=np.radians(sigma_deg)) for sigma_deg in NORMAL_DEG]
-    peaks = [_log_posterior(grid, azimuths, one, Expected(), COARSE_ERROR_DEG)[1].max()
-             for one in tried]
+    peaks = [(log_prior + sum(log_likelihood(bases, azimuths, one, np.radians(COARSE_ERROR_DEG)))
+              ).max() for one in tried]
     return replace(evidence, normal_rad=tried[int(np.argmax(peaks))].normal_rad)
 
 
 @cache
 def _coarse_grid(with_down: bool) -> tuple[np.ndarray, ...]:
-    """Return tilts (V, 3), pitch and roll in degrees and 1 from straight down, and their bases."""
+    """
+    Return tilts (V, 3), pitch and roll in degrees and 1 from straight down.
+
+    Behind them are their bases, and the log density of mountings at their verticals.
+    """
     tilts = _grid(*(np.arange(-most, most + 1, STEP_DEG)
                     for most in (MAX_PITCH_DEG, MAX_ROLL_DEG)), np.zeros(1))
     if with_down:
         around = np.arange(-MAX_DOWN_DEG // STEP_DEG + 1, MAX_DOWN_DEG // STEP_DEG + 1) * STEP_DEG
         down = _grid(around, around, np.ones(1))
         tilts = np.vstack([tilts, down[np.hypot(*down.T[:2]) <= MAX_DOWN_DEG]])
-    return tilts, *_bases(tilts)
+    bases, log_area = _bases(tilts)
+    return tilts, bases, log_area, _log_mounted(bases[:, 0])
 
 
 def _log_posterior(grid: Sequence[np.ndarray], azimuths_deg: np.ndarray, evidence: Evidence,
                    expected: Expected, error_deg: float) -> tuple[np.ndarray, np.ndarray]:
     """Return bases (V, 3, 3) of a grid, and the log posterior (V, A) of azimuths (V, A)."""
-    bases, log_area = grid
+    bases, log_area, *mounted = grid
     if expected.down is not None:
         bases = bases @ turn_between(UPRIGHT, expected.down).T
-    log_prior = log_prior_density(bases[:, 0], expected, evidence, error_deg) + log_area
+    log_prior = log_area + log_prior_density(bases[:, 0], expected, evidence, error_deg, *mounted)
     votes = sum(log_likelihood(bases, np.radians(azimuths_deg), evidence, np.radians(error_deg)))
     return bases, log_prior[:, None] + expected.new * votes
 
 
 def log_prior_density(downs: np.ndarray, expected: Expected, evidence: Evidence,
-                      error_deg: float) -> np.ndarray:
-    """Return the log of the prior density (V,) of verticals (V, 3), 1/sr, blurred by an error."""
+                      error_deg: float, mounted: np.ndarray | None = None) -> np.ndarray:
+    """
+    Return the log of the prior density (V,) of verticals (V, 3), 1/sr, blurred by an error.
+
+    The ``mounted`` (5, V) is their :func:`_log_mounted`, if it is known.
+    """
     if expected.down is None:
-        off_deg = np.degrees(np.arccos(downs[:, 2].clip(-1, 1)))
+        *held, down = _log_mounted(downs) if mounted is None else mounted
         log_prior = np.logaddexp(
-            np.logaddexp.reduce(_log_held(downs) + np.reshape(evidence.log_turned, (4, 1))),
-            math.log(LOOKING_DOWN) + evidence.log_odds_down
-            + _log_normal((off_deg, 0.0), (DOWN_DEG, DOWN_DEG)))
+            np.logaddexp.reduce(held + np.reshape(evidence.log_turned, (4, 1))),
+            math.log(LOOKING_DOWN) + evidence.log_odds_down + down)
     else:
         sigma_deg = math.hypot(expected.sigma_deg, error_deg)
         log_prior = _log_normal(_tilt_deg(downs @ turn_between(UPRIGHT, expected.down)),
@@ -521,6 +528,12 @@ def is_held(downs: np.ndarray) -> np.ndarray:
 def held_density(down: np.ndarray) -> float:
     """Return the prior density of a vertical (3,) of a camera that does not look down, 1/sr."""
     return float(np.exp(_log_held(down[None])).sum())
+
+
+def _log_mounted(downs: np.ndarray) -> np.ndarray:
+    """Return the log of the prior density (5, V) of turned cameras, and of one looking down."""
+    off_deg = np.degrees(np.arccos(downs[:, 2].clip(-1, 1)))
+    return np.vstack([_log_held(downs), _log_normal((off_deg, 0.0), (DOWN_DEG, DOWN_DEG))])
 
 
 def _log_held(downs: np.ndarray) -> np.ndarray:

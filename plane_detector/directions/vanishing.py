@@ -149,16 +149,13 @@ def _likely_vertical(axes: np.ndarray, evidence: Evidence,
     named = named[is_held(named[:, 0])]
     if not len(named):
         return axes, 1.0
-    score = log_prior_density(named[:, 0], expected, evidence, FINE_ERROR_DEG)
-    mass = np.exp(score - score.max())
-    under_roof = 0.0
-    if len(evidence.normals):
-        slope = np.radians(ROOF_DEG)[:, None]
-        downs = np.concatenate([
-            first * np.cos(slope) * axes[k] + second * np.sin(slope) * axes[k - 1]
-            for k in range(3) for first in (1, -1) for second in (1, -1)])
-        density = log_prior_density(downs, expected, evidence, FINE_ERROR_DEG)
-        under_roof = ROOF * np.exp(density - score.max()).sum() / len(slope)
+    slope = np.radians(ROOF_DEG if len(evidence.normals) else [])[:, None]
+    downs = np.concatenate([named[:, 0], *(
+        first * np.cos(slope) * axes[k] + second * np.sin(slope) * axes[k - 1]
+        for k in range(3) for first in (1, -1) for second in (1, -1))])
+    score = log_prior_density(downs, expected, evidence, FINE_ERROR_DEG)
+    mass = np.exp(score - score[:len(named)].max())
+    mass, under_roof = mass[:len(named)], mass[len(named):].sum() * ROOF / max(len(slope), 1)
     return named[mass.argmax()], float(mass.max() / (mass.sum() + under_roof))
 
 

@@ -184,16 +184,18 @@ def _sum_up_columns(disparity, valid, band, reference, sums):
     top, size, begin, end = band
     bottom, right = min(top + size, disparity.shape[0]), min(end, disparity.shape[1])
     n, d = np.zeros(end - begin, np.float32), np.zeros(end - begin, np.float32)
+    middle = (top + bottom) // 2
     for left in range(begin, right, size):
-        u, v, last = left, (top + bottom) // 2, min(left + size, right) - 1
-        for _ in range((bottom - top) * (last + 1 - left)):
-            if valid[v, u]:
-                break
+        u, v, end_u = left, middle, min(left + size, right)
+        while not valid[v, u]:
             u += 1
-            if u > last:  # the next row, after the last one the first
+            if u == end_u:  # the next row, after the last one the first
                 u, v = left, v + 1 if v + 1 < bottom else top
+                if v == middle:
+                    break
+        value = disparity[v, u]
         for k in range(left, left + size):
-            reference[k] = disparity[v, u]
+            reference[k] = value
     sums[:, begin:end] = 0
     here = reference[begin:end]
     for v in range(top, bottom):

@@ -77,10 +77,11 @@ def _block_residuals(disparity, valid, labels, planes, size):
     residual = np.zeros((rows * BLOCKS, columns * BLOCKS), np.float32)
     owner = np.full(residual.shape, np.int32(-1))
     total, count = np.zeros(columns * size, np.float32), np.zeros(columns * size, np.uint8)
+    d, n = np.empty(len(total), np.float32), np.empty(len(total), np.uint16)
     begin = np.empty(max(rows, columns) * BLOCKS, np.int64)
     for i in range(len(begin)):
         begin[i] = i * size // BLOCKS
-    whole, middle = side * side, (side - 1) / 2
+    whole, per, middle = side * side, 1 / (side * side), (side - 1) / 2
     for i in range(rows * BLOCKS):
         top, row = begin[i], i // BLOCKS
         for u in range(width):
@@ -89,23 +90,31 @@ def _block_residuals(disparity, valid, labels, planes, size):
             for u in range(width):
                 total[u] += disparity[v, u]  # 0 where invalid
                 count[u] += np.uint8(valid[v, u])
+        for u in range(len(d)):
+            d[u], n[u] = total[u], count[u]
+        for step in range(1, side):
+            for u in range(len(d) - step):
+                d[u] += total[u + step]
+                n[u] += count[u + step]
         below = labels[min(row + int(i % BLOCKS == BLOCKS - 1), rows - 1)]
         for column in range(columns):
-            k, first = labels[row, column], column * BLOCKS
+            k, first, filled = labels[row, column], column * BLOCKS, 0
             if k < 0:
                 continue
             a, b, c = planes[k, 0], planes[k, 1], planes[k, 2]
-            for j in range(first, first + BLOCKS):  # np.uint64: no wrap-around check
-                left, d, n = np.uint64(begin[j]), np.float32(0), 0
-                for u in range(np.uint64(side)):
-                    d += total[left + u]
-                    n += count[left + u]
-                if n == whole:
-                    residual[i, j] = d / n - (a * (begin[j] + middle) + b * (top + middle) + c)
-                elif 2 * n > whole:
+            name = k if below[column] == k else np.int32(-1)
+            for j in range(first, first + BLOCKS):
+                left = np.uint64(begin[j])  # unsigned: no wrap-around check
+                residual[i, j] = d[left] * per - (a * (begin[j] + middle) + b * (top + middle) + c)
+                owner[i, j] = name
+                filled += n[left]
+            for j in range(first, first + BLOCKS if filled < BLOCKS * whole else first):
+                residual[i, j], pixels = 0, np.int64(n[begin[j]])
+                if 2 * pixels > whole:
                     x, y = _centroid(valid, top, begin[j], side)
-                    residual[i, j] = d / n - (a * x + b * y + c)
-                owner[i, j] = k if 2 * n > whole and below[column] == k else -1
+                    residual[i, j] = d[begin[j]] / pixels - (a * x + b * y + c)
+                else:
+                    owner[i, j] = -1
             if labels[row, min(column + 1, columns - 1)] != k:
                 owner[i, first + BLOCKS - 1] = -1
     return residual, owner
