@@ -114,6 +114,10 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
         ('self.coefficients + [0.0, 0.0, shift]',
          '(self.coefficients + [0.0, 0.0, shift])', 'shift in the wrong unit'),),
     'directions/posterior.py': (
+        ('thinned[len(thinned) - quarter:]', 'thinned[len(thinned) + quarter:]',
+         'the trend of the disparity is not seen'),
+        ('self.downs[is_near] - down', 'self.downs[is_near] + down',
+         'the spread of a mode about its opposite'),
         ('(1 - USUAL_RATIO) - near', '(1 - USUAL_RATIO) - far', 'the usual shift at the far end'),
         ('bases[:, 0], mass', '-bases[:, 0], mass', 'gravity points up'),
         ('1] + np.sin(angle) * bases[best, 2',

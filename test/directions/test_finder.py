@@ -176,6 +176,12 @@ def test_a_surface_ahead_is_evidence_for_looking_down_and_its_absence_is_none():
     assert log_odds_down(disparity, aside) == pytest.approx(0, abs=1e-9)
 
 
+def test_what_is_near_at_the_bottom_is_evidence_against_looking_down():
+    nearer = np.tile(np.linspace(0.2, 1.0, 480)[:, None], (1, 640))
+    assert log_odds_down(nearer, np.zeros((0, 3))) < -0.3
+    assert log_odds_down(nearer[::-1], np.zeros((0, 3))) > 1.8
+
+
 def test_a_usual_shift_makes_the_near_tenth_twice_as_near_as_the_far_one():
     inverse = usual_inverse_depth(np.tile(np.linspace(-3.0, 5.0, 480)[:, None], (1, 640)))
     assert np.quantile(inverse, 0.1) / np.quantile(inverse, 0.9) == pytest.approx(0.43, abs=0.02)

@@ -8,7 +8,9 @@ import pytest
 
 from plane_detector.directions.line_segments import detect_line_segments, segments_from_pixels
 from plane_detector.directions.posterior import (
+    CELL_RAD,
     Expected,
+    Posterior,
     _surfaces,
     collect_evidence,
     surface_normals,
@@ -89,6 +91,15 @@ def test_one_direction_is_the_vertical_if_the_depth_is_along_it(rng, off_deg, is
     assert (found.gravity_camera is not None) == is_found
     if is_found:
         assert angle_deg(found.gravity_camera, down) < 0.5
+
+
+def test_a_mode_has_the_spread_of_its_verticals():
+    angles = np.radians([-2.0, 2.0])
+    downs = np.column_stack([np.zeros(2), np.cos(angles), np.sin(angles)])
+    modes = Posterior(downs, np.array([0.5, 0.5])).modes(np.array([0.0, 1.0, 0.0]))
+    spread = np.sqrt(np.diag(modes.covariances[0] - CELL_RAD**2 / 12 * np.eye(3)))
+    np.testing.assert_allclose(spread, [0, 0, np.sin(angles[1])], atol=1e-3)
+    assert modes.masses.tolist() == [1.0]
 
 
 def test_normals_of_a_floor_in_the_depth():
