@@ -113,6 +113,9 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
         ('normals[..., 2] += tau', 'normals[..., 2] -= tau', 'sign of the shift'),
         ('self.coefficients + [0.0, 0.0, shift]',
          '(self.coefficients + [0.0, 0.0, shift])', 'shift in the wrong unit'),),
+    'directions/frames.py': (
+        ('weight * sine * sine', 'weight / sine * sine',
+         'scatter of a fit without its misalignments'),),
     'directions/posterior.py': (
         ('thinned[len(thinned) - quarter:]', 'thinned[len(thinned) + quarter:]',
          'the trend of the disparity is not seen'),

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
+from plane_detector.directions.frames import fit_frame
 from plane_detector.directions.line_segments import detect_line_segments, segments_from_pixels
 from plane_detector.directions.posterior import (
     CELL_RAD,
@@ -71,6 +72,16 @@ def test_the_covariance_is_across_the_direction_and_positive(rng):
     down = found.gravity_camera
     assert down @ found.covariance @ down == pytest.approx(0, abs=1e-12)
     assert np.linalg.eigvalsh(found.covariance)[1] > 0
+
+
+def test_the_covariance_of_a_fit_is_that_of_its_errors(rng):
+    frame = tilted_frame()
+    exact_px = lines_along(frame, 12, rng).ends_px
+    fits = [fit_frame(segments_from_pixels(exact_px + rng.normal(0, 0.5, exact_px.shape), VGA),
+                      frame) for _ in range(200)]
+    turns = np.array([cv2.Rodrigues(fit.axes.T @ frame)[0].ravel() for fit in fits])
+    stated = np.mean([np.diag(fit.covariance) for fit in fits], axis=0)
+    assert (abs(np.log2((turns**2).mean(axis=0) / stated)) < 1).all()
 
 
 def test_one_direction_alone_is_refused(rng):
