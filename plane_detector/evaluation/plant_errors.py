@@ -114,6 +114,9 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
         ('normals[..., 2] += tau', 'normals[..., 2] -= tau', 'sign of the shift'),
         ('self.coefficients + [0.0, 0.0, shift]',
          '(self.coefficients + [0.0, 0.0, shift])', 'shift in the wrong unit'),),
+    'directions/vanishing.py': (
+        ('cosine * level - sine', 'cosine / level - sine',
+         'axes of a rising floor are none'),),
     'directions/frames.py': (
         ('weight * sine * sine', 'weight / sine * sine',
          'scatter of a fit without its misalignments'),),

@@ -10,13 +10,14 @@ from plane_detector.directions.frames import fit_frame
 from plane_detector.directions.line_segments import detect_line_segments, segments_from_pixels
 from plane_detector.directions.posterior import (
     CELL_RAD,
+    Evidence,
     Expected,
     Posterior,
     _surfaces,
     collect_evidence,
     surface_normals,
 )
-from plane_detector.directions.vanishing import find_directions
+from plane_detector.directions.vanishing import _if_it_rises, find_directions
 from plane_detector.evaluation.scenes.rendering import VGA
 from plane_detector.evaluation.scenes.rooms import attic, hexagon_room, random_room
 from plane_detector.evaluation.scenes.textures import clutter, ramp_room, rolled_room, textured
@@ -102,6 +103,17 @@ def test_one_direction_is_the_vertical_if_the_depth_is_along_it(rng, off_deg, is
     assert (found.gravity_camera is not None) == is_found
     if is_found:
         assert angle_deg(found.gravity_camera, down) < 0.5
+
+
+@pytest.mark.parametrize('seen', [slice(0, 1), slice(1, 3)], ids=['floor', 'walls'])
+def test_a_floor_or_walls_in_the_depth_show_that_level_lines_are_level(seen):
+    axes = tilted_frame()
+    nothing, surfaces = (Evidence(np.zeros((0, 8)), normals, np.radians(3.5))
+                         for normals in (axes[:0], axes[seen]))
+    assert _if_it_rises(axes, nothing)[0] < 0.95
+    share, found, rises = _if_it_rises(axes, surfaces)
+    assert share > 0.99 and not rises
+    np.testing.assert_array_equal(found, axes)
 
 
 def test_a_mode_has_the_spread_of_its_verticals():
