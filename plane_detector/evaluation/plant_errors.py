@@ -232,6 +232,9 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
         ('share > _MERGED', 'share < _MERGED', 'merged where little is shared'),
         ('labels=labels, merged', 'labels=np.arange(1, len(labels) + 1), merged',
          'labels are not those of the tracks')),
+    'ground/obstacles.py': (
+        ('z <= box[5]', 'z <= box[4]',
+         'a side of the box of another axis'),),
     'ground/ground.py': (
         ('[self.normals * inv', '[-self.normals * inv', 'normals look down'),
         ('] + self.offsets[', '] - self.offsets[', 'sign of an offset'),

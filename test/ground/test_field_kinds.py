@@ -14,7 +14,9 @@ from plane_detector.config import DepthConfig, GroundConfig, ScaleConfig
 from plane_detector.directions.gravity_choice import Gravity
 from plane_detector.evaluation.scenes.rendering import rectangle
 from plane_detector.evaluation.scenes.terrain import Course, Kind, View, look, noisy
+from plane_detector.geometry.projection import pixel_rays
 from plane_detector.ground.ground import find_ground
+from plane_detector.ground.obstacles import without_box
 from plane_detector.planes.classification import PlaneClass
 from plane_detector.types import CameraIntrinsics, PlaneSegmentation
 
@@ -295,6 +297,18 @@ def test_what_of_the_robot_itself_is_in_view_is_ignored():
 
 
 # 10. Planted errors that no test caught.
+def test_the_box_that_is_ignored_has_six_sides():
+    depth_m = np.random.default_rng(0).uniform(0.5, 3.0, (48, 64)).astype(np.float32)
+    rays = pixel_rays(CameraIntrinsics(40.0, 36.0, 30.0, 25.0, 64, 48))
+    points_m = np.stack([depth_m * rays[0], depth_m * rays[1][:, None], depth_m], axis=-1)
+    box = np.array([-0.3, -0.2, 0.8, 0.5, 0.35, 2.1], np.float32)
+    inside = ((points_m >= box[:3]) & (points_m <= box[3:])).all(axis=-1)
+    found_m, labels = without_box(depth_m, np.zeros((48, 64), np.int32), *rays, box)
+    assert 100 < inside.sum() < inside.size - 100
+    np.testing.assert_array_equal(found_m, np.where(inside, np.nan, depth_m))
+    np.testing.assert_array_equal(labels, np.where(inside, -1, 0))
+
+
 def test_classes_without_a_unit_are_those_of_any_unit_but_for_steps():
     """Without the unit the camera counts as 1 m high; a step is so many metres high."""
     way = course()
