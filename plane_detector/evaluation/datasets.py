@@ -6,7 +6,8 @@ Real images with the measured depth of a sensor.
 A data folder contains one folder per set, with ``<id>_rgb.png`` or ``.jpg``, ``<id>_depth.png``
 (uint16, registered to the image, 0 invalid) and ``intrinsics.json`` with fx, fy, cx, cy, width,
 height and depth_unit_m, or below ``frames`` those of each id. The sets below ``labelled`` and
-``sensors`` and the set ``abw`` also have planes labelled by hand, ``<id>_labels.png``.
+``sensors`` and the set ``abw`` also have planes labelled by hand, ``<id>_labels.png``. Test packs
+of ZeroPlane have a reader of their own.
 """
 
 from __future__ import annotations
@@ -139,3 +140,61 @@ def numbered(raw: np.ndarray, kept: np.ndarray, elsewhere: int = NO_PLANE) -> np
     labels = np.full(raw.shape, elsewhere, np.int32)
     labels[kept] = np.unique(raw[kept], return_inverse=True)[1]
     return labels
+
+
+@dataclass(frozen=True)
+class ZeroPlaneFrame(LabelledFrame):
+    """A frame of a test pack of ZeroPlane, whose true planes have a depth."""
+
+    plane_depth_m: np.ndarray  # (H, W) float32: of the true plane at each pixel, NaN elsewhere
+
+
+_ZEROPLANE_NO_PLANE = 20
+# Of NYU and of 7-Scenes alike at 640 x 480, as ZeroPlane's code has it; the files have none.
+_ZEROPLANE_MATRIX = np.array([[518.86, 0, 325.58], [0, 519.47, 253.74], [0, 0, 1]])
+
+
+def zeroplane_frames(folder: Path) -> list[ZeroPlaneFrame]:
+    """
+    Return the frames of a test pack of ZeroPlane: a folder of .npz files.
+
+    Each file has ``image`` (H, W, 3) uint8 BGR, ``raw_depth`` (H, W) in metres, 0 where not
+    measured, ``segmentation`` (H, W) with the index of each pixel's plane, 20 for none, and
+    ``depth`` (1, H, W), the depth of that plane. ``K`` (3, 3) is used if it is there. Raises
+    FileNotFoundError without such files and ValueError for one that has something else.
+
+    References
+    ----------
+    J. Liu et al.: Towards In-the-wild 3D Plane Reconstruction from a Single Image, CVPR 2025;
+    the files as its evaluation code reads them.
+
+    """
+    paths = sorted(folder.glob('*.npz'))
+    if not paths:
+        raise FileNotFoundError(f'there are no .npz files in {folder}')
+    return [_zeroplane_frame(path) for path in paths]
+
+
+def _zeroplane_frame(path: Path) -> ZeroPlaneFrame:
+    with np.load(path) as file:
+        wanted = {'image', 'raw_depth', 'segmentation', 'depth'}
+        if not wanted <= set(file.files):
+            raise ValueError(f'{path} has no {", ".join(sorted(wanted - set(file.files)))}, '
+                             f'only {", ".join(file.files)}')
+        image, measured_m, segments, plane_m = (
+            file[name] for name in ('image', 'raw_depth', 'segmentation', 'depth'))
+        matrix = file['K'] if 'K' in file.files else None
+    plane_m = plane_m.reshape(plane_m.shape[-2:])
+    height, width = segments.shape
+    if not image.shape[:2] == measured_m.shape == plane_m.shape == segments.shape:
+        raise ValueError(f'{path}: image, depths and segmentation must have one size')
+    if matrix is None:
+        matrix = np.diag([width / 640, height / 480, 1]) @ _ZEROPLANE_MATRIX
+    places = (0, 0), (1, 1), (0, 2), (1, 2)
+    camera = CameraIntrinsics(*(float(matrix[place]) for place in places),
+                              width, height)
+    is_plane = segments != _ZEROPLANE_NO_PLANE
+    return ZeroPlaneFrame(
+        path.parent.name, path.stem, np.ascontiguousarray(image[..., ::-1]),
+        np.where(measured_m > 0, measured_m, np.nan).astype(np.float32), camera,
+        numbered(segments, is_plane), np.where(is_plane, plane_m, np.nan).astype(np.float32))

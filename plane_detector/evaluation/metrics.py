@@ -9,6 +9,7 @@ pixels of the mask count: those with valid true depth.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -55,9 +56,14 @@ def pure_errors(shared: Overlap, true_planes: np.ndarray,
 
 def segmentation_covering(counts: np.ndarray) -> float:
     """Return the mean best IoU of the segments of both sides, weighted by their pixels."""
+    return (covering_of_truth(counts) + covering_of_truth(counts.T)) / 2
+
+
+def covering_of_truth(counts: np.ndarray) -> float:
+    """Return the mean best IoU of the true segments alone, weighted by their pixels."""
     rows, columns = counts.sum(1), counts.sum(0)
     iou = counts / np.maximum(rows[:, None] + columns[None, :] - counts, 1)
-    return float((rows * iou.max(1)).sum() + (columns * iou.max(0)).sum()) / (2 * counts.sum())
+    return float((rows * iou.max(1)).sum() / counts.sum())
 
 
 @dataclass(frozen=True)
@@ -91,6 +97,36 @@ def score(true_labels: np.ndarray, true_planes: np.ndarray, labels: np.ndarray,
         known_mean(matches[large].any(1)), known_mean(matches.any(0)),
         *(float(np.median(errors)) if errors.size else float('nan')
           for errors in (np.degrees(np.arccos(cosine)), offset_error_m)))
+
+
+def _distances_of_matches(shared: Overlap, true_labels: np.ndarray, true_depth_m: np.ndarray,
+                          labels: np.ndarray, depth_m: np.ndarray,
+                          mask: np.ndarray) -> np.ndarray:
+    """Return the mean depth difference (I, J) over what two planes share; inf below IoU 0.5."""
+    off_m = np.full(shared.iou.shape, np.inf)
+    for i, j in zip(*np.nonzero(shared.iou > 0.5), strict=True):
+        both = mask & (true_labels == i) & (labels == j)
+        off_m[i, j] = np.abs(true_depth_m[both] - depth_m[both]).mean()
+    return off_m
+
+
+def found_within(true_labels: np.ndarray, true_depth_m: np.ndarray, labels: np.ndarray,
+                 depth_m: np.ndarray, mask: np.ndarray,
+                 limits_m: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Return the share of predicted planes, and of true ones, that match one within each limit.
+
+    A match has IoU > 0.5 and a mean difference of the depths (H, W) of both planes over what they
+    share of at most the limit. NaN without predicted, or without true planes.
+    """
+    shared = overlap(true_labels, labels, mask)
+    off_m = _distances_of_matches(shared, true_labels, true_depth_m, labels, depth_m, mask)
+    within = off_m[..., None] <= np.asarray(limits_m)
+    is_seen = shared.counts[:, :-1].sum(axis=0) > 0, shared.counts[:-1].sum(axis=1) > 0
+    precision, recall = (
+        within.any(axis=axis)[seen].mean(axis=0) if seen.any() else np.full(len(limits_m), np.nan)
+        for axis, seen in enumerate(is_seen))
+    return precision, recall
 
 
 PIECE_SHARE = 0.1

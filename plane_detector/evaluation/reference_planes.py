@@ -106,3 +106,15 @@ def fit_planes(labels: np.ndarray, depth_m: np.ndarray,
         if len(on_plane_m) >= MIN_POINTS:
             planes[k] = least_squares(on_plane_m)
     return planes
+
+
+def plane_depth(labels: np.ndarray, planes: np.ndarray,
+                intrinsics: CameraIntrinsics) -> np.ndarray:
+    """Return the depth (H, W) at which each pixel's ray meets its plane, NaN without a plane."""
+    if not len(planes):
+        return np.full(labels.shape, np.nan)
+    x = (np.arange(intrinsics.width) - intrinsics.cx) / intrinsics.fx
+    y = (np.arange(intrinsics.height)[:, None] - intrinsics.cy) / intrinsics.fy
+    a, b, c, d = np.moveaxis(planes[labels], -1, 0)
+    with np.errstate(divide='ignore', invalid='ignore'):
+        return np.where(labels >= 0, -d / (a * x + b * y + c), np.nan)

@@ -15,9 +15,8 @@ from plane_detector.evaluation.datasets import (
     numbered,
 )
 from plane_detector.evaluation.metrics import score
-from plane_detector.evaluation.reference_planes import fit_planes, judge_planes
+from plane_detector.evaluation.reference_planes import fit_planes, judge_planes, plane_depth
 from plane_detector.evaluation.scenes.rooms import random_room, single_wall
-from plane_detector.geometry.projection import depth_to_points
 from plane_detector.types import CameraIntrinsics
 
 
@@ -53,10 +52,10 @@ def test_labels_made_by_hand_fit_their_depth(data_folder):
     for name, limit_m in (('abw/02', 0.003), ('icl_office_evops/office_0000', 0.001),
                           ('nyu_planes_dpd/nyu0619', 0.03)):
         one = found[name]
-        largest = np.argmax(np.bincount(one.labels[one.labels >= 0]))
-        *normal, offset_m = fit_planes(one.labels, one.depth_m, one.intrinsics)[largest]
-        points_m = depth_to_points(one.depth_m, one.intrinsics)[one.labels == largest]
-        off_m = np.abs(points_m @ normal + offset_m)
+        fitted_m = plane_depth(one.labels, fit_planes(one.labels, one.depth_m, one.intrinsics),
+                               one.intrinsics)
+        off_m = np.abs(fitted_m - one.depth_m)[one.labels == np.argmax(
+            np.bincount(one.labels[one.labels >= 0]))]
         assert np.nanmedian(off_m) < limit_m
 
 
@@ -84,6 +83,14 @@ def test_the_tolerance_is_3_cm_or_a_share_of_the_depth(distance_m, stray_m, puri
     (judged,) = judge_planes(np.zeros(sensor_m.shape, int), np.array([[0, 0, -1, distance_m]]),
                              sensor_m, CAMERA, np.random.default_rng(0))
     assert judged.purity == pytest.approx(purity)
+
+
+def test_the_depth_of_a_plane_is_where_the_rays_meet_it():
+    scene = random_room(np.random.default_rng(2), CAMERA)
+    np.testing.assert_allclose(plane_depth(scene.labels, scene.planes, CAMERA), scene.depth_m,
+                               rtol=1e-4)
+    nothing = np.full((120, 160), -1)
+    assert np.isnan(plane_depth(nothing, scene.planes[:0], CAMERA)).all()
 
 
 def test_planes_are_fitted_to_their_pixels():

@@ -32,15 +32,22 @@ from plane_detector.evaluation.datasets import (
     TABLETOPS,
     Frame,
     LabelledFrame,
+    ZeroPlaneFrame,
     frames,
     labelled_frames,
+    zeroplane_frames,
 )
 from plane_detector.evaluation.metrics import (
     MIN_PIXELS,
+    covering_of_truth,
+    found_within,
     hoover_score,
     known_mean,
+    overlap,
+    segmentation_covering,
 )
 from plane_detector.evaluation.peers import Method, OpenCv, Ours, Paper
+from plane_detector.evaluation.reference_planes import fit_planes, plane_depth
 from plane_detector.evaluation.scenes.sensor_cases import SENSOR_CASES
 from plane_detector.pipeline import segment_planes
 from plane_detector.types import CameraIntrinsics
@@ -56,6 +63,8 @@ ABW_MIN_SHARE = 0.001
 """Smallest plane on ABW: its regions are small, and each published method was set for them."""
 APART = ('correct', 'missed', 'noise')
 """Of the Hoover scores, those also counted with the connected pieces, as ABW's labels are."""
+LIMITS_MM = (1, 5, 10)
+"""Mean differences of depth up to which a plane of ZeroPlane's packs counts as found."""
 _PANEL_WIDTH_PX = 640
 
 
@@ -66,11 +75,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--pictures', type=Path, metavar='FOLDER',
                         help='write image, true labels and ours there, also of the sets '
                              f'{", ".join(UNSEEN_SETS)}, which have no labels')
+    parser.add_argument('--zeroplane', type=Path, metavar='FOLDER',
+                        help='instead of the labelled sets: a test pack of ZeroPlane, a folder '
+                             'of .npz files')
     add_shared(parser, '--only-ours', '--processes', '--data', processes=1)
 
 
 def run(options: argparse.Namespace) -> None:
     """Print the tables, and write the pictures if requested."""
+    if options.zeroplane:
+        report_zeroplane(options)
+        return
     found = list(labelled_frames(options.data))
     by_hand, scanned = ([one for one in found if (one.set_name == ABW) is scan]
                         for scan in (False, True))
@@ -95,6 +110,31 @@ def run(options: argparse.Namespace) -> None:
     if options.pictures:
         for path in write_pictures(options.data, found, options.pictures):
             emit(f'Picture: `{path}`')
+
+
+def report_zeroplane(options: argparse.Namespace) -> None:
+    """Print the table of a test pack, whose true planes have a depth."""
+    report('Test pack of ZeroPlane, from its measured depth', zeroplane_frames(options.zeroplane),
+           [Ours(), OpenCv(0.03), OpenCv(0.05), *([Paper()] if options.slow else [])],
+           zeroplane_numbers, 3, options)
+    emit('SC: symmetric, over the pixels with measured depth, as in all our tables. SC of truth: '
+         'of the true segments alone, over all pixels, as some publications have it. Precision '
+         'and recall: planes with IoU > 0.5 whose depths differ by at most the limit in the mean.')
+
+
+def zeroplane_numbers(frame: ZeroPlaneFrame, labels: np.ndarray) -> dict[str, float]:
+    """Return SC in both conventions, and precision and recall at LIMITS_MM."""
+    measured = np.isfinite(frame.depth_m)
+    depth_m = plane_depth(labels, fit_planes(labels, frame.depth_m, frame.intrinsics),
+                          frame.intrinsics)
+    found = found_within(frame.labels, frame.plane_depth_m, labels, depth_m, measured,
+                         [limit / 1000 for limit in LIMITS_MM])
+    everywhere = overlap(frame.labels, labels, np.ones_like(measured))
+    return {'SC': segmentation_covering(overlap(frame.labels, labels, measured).counts),
+            'SC of truth': covering_of_truth(everywhere.counts),
+            **{f'{name} {limit} mm': share
+               for name, shares in zip(('precision', 'recall'), found, strict=True)
+               for limit, share in zip(LIMITS_MM, shares, strict=True)}}
 
 
 def report_largest(found: Sequence[LabelledFrame], processes: int) -> None:
