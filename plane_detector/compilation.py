@@ -281,8 +281,10 @@ def _compile_in_processes(kernels: list[Kernel], log: Callable[[str], None]) -> 
             while any(helper.poll() is None for helper in helpers):
                 raise_if_stopped()
                 if time.monotonic() - logged_s > LOG_PERIOD_S:
-                    logged_s, done = time.monotonic(), sum(one.is_cached for one in kernels)
-                    log(f'compiled {done} of {len(kernels)} loops')
+                    logged_s, done = time.monotonic(), [one for one in kernels if one.is_cached]
+                    log(f'compiled {len(done)} of {len(kernels)} loops')
+                    for one in done:  # to load all of them at the end takes a second or two
+                        one.compiled()
                 time.sleep(_CHECK_S)
         finally:
             for helper in helpers:
