@@ -134,18 +134,21 @@ def _open_around(is_open, labels, row, column):
 @kernel('float32[:, ::1](float32[:, ::1], boolean[:, ::1], float32)')
 def _smooth(disparity, valid, limit):
     """Return the mean of the 3 x 3 pixels around each where all are valid and it is near."""
-    (height, width), smooth = disparity.shape, disparity.copy()
+    (height, width), smooth = disparity.shape, np.empty_like(disparity)
     total, is_whole = np.empty(width, np.float32), np.empty(width, np.bool_)
-    for v in range(1, height - 1):
-        above, here, below, out = disparity[v - 1], disparity[v], disparity[v + 1], smooth[v]
-        one, two, three = valid[v - 1], valid[v], valid[v + 1]
+    for v in range(height):
+        before, after, out = max(v - 1, 0), min(v + 1, height - 1), smooth[v]
+        above, here, below = disparity[before], disparity[v], disparity[after]
+        one, two, three = valid[before], valid[v], valid[after]
         for u in range(width):
             total[u] = above[u] + here[u] + below[u]
             is_whole[u] = one[u] & two[u] & three[u]
+        least = limit if 0 < v < height - 1 else np.float32(-1)
         for u in range(1, width - 1):
             mean = (total[u - 1] + total[u] + total[u + 1]) * np.float32(1 / 9)
-            is_near = (abs(mean - here[u]) <= limit) & is_whole[u - 1] & is_whole[u]
+            is_near = (abs(mean - here[u]) <= least) & is_whole[u - 1] & is_whole[u]
             out[u] = mean if is_near & is_whole[u + 1] else here[u]
+        out[0], out[width - 1] = here[0], here[width - 1]
     return smooth
 
 

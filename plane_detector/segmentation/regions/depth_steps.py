@@ -188,7 +188,7 @@ def _find_pieces(residual, owner, across, down, limits):
     """
     (rows, columns), count, above = owner.shape, 0, 0
     runs = np.empty((rows * ((columns + 1) // 2), 4), np.int32)
-    total, is_inside = np.zeros(len(runs)), np.empty(columns, np.bool_)
+    total, is_inside = np.empty(len(runs)), np.empty(columns, np.bool_)
     for row in range(rows):
         for u in range(columns):
             is_inside[u] = ((owner[row, u] >= 0) & (abs(across[row, u]) <= limits[0])
