@@ -22,17 +22,20 @@ setup(
         (f'share/{NAME}/examples', sorted(glob('docs/examples/*'))),
     ],
     python_requires='>=3.10',
-    # ONNX Runtime: loading can be stopped from 1.22 on. OpenCV: the wheels before 4.8.1.78 hold
+    # OpenCV: the wheels before 4.8.1.78 hold
     # a libwebp with CVE-2023-4863; rosdep brings Ubuntu's own instead, and webp is not decoded.
     install_requires=[
-        'joblib>=1.3', 'numba>=0.58', 'numpy>=1.26', 'onnxruntime>=1.22',
-        'opencv-python-headless>=4.8.1.78', 'pyyaml', 'scikit-learn', 'scipy', 'setuptools',
-        'threadpoolctl>=3.0', 'tqdm'],
+        'joblib>=1.3', 'numba>=0.58', 'numpy>=1.26', 'opencv-python-headless>=4.8.1.78',
+        'pyyaml', 'scikit-learn', 'scipy', 'setuptools', 'threadpoolctl>=3.0', 'tqdm'],
+    # Depth networks need one of cpu and gpu, whose packages share a module. Loading a network can
+    # be stopped from 1.22 on.
     extras_require={
         'benchmark': ['matplotlib', 'pyransac3d'],
+        'cpu': ['onnxruntime>=1.22'],
         'dask': ['dask[distributed]'],
         'demo': ['scikit-image'],
         'export': ['onnx', 'torch', 'transformers'],
+        'gpu': ['onnxruntime-gpu[cuda,cudnn]>=1.22'],
         'paper': ['pyransac3d'],
         'ray': ['ray'],
         'replay': ['rosbags'],

@@ -15,9 +15,11 @@ from plane_detector.depth.networks import resolve
 from plane_detector.depth.onnx_file import check_file
 from plane_detector.depth.onnx_session import (
     MIN_SIDE_PX,
+    ON_CUDA,
     OnnxSession,
     ProviderError,
     available_providers,
+    check_provider,
 )
 from plane_detector.depth.plausibility import ImplausibleDepthError
 from plane_detector.depth.preprocessing import prepare_input
@@ -48,17 +50,15 @@ class DepthEstimator:
     """
 
     def __init__(self, config: DepthConfig) -> None:
-        self._network, self._path, reason, content = resolve(config)
-        self.name, self.noise_share = self._network.name, self._network.noise_share
-        self.output, self.needs_lens = self._network.output, self._network.outputs.needs_lens
-        self.focal_per_height = self._network.focal_per_height
-        self._views = self._network.views
-        if content is None:
-            check_file(self._path)
         rgb, depth_m = plausibility.corridor()
         passed_over: list[str] = []
         for self.provider in config.providers:
             try:
+                check_provider(self.provider)
+                self._network, self._path, reason, content = resolve(
+                    config, self.provider == ON_CUDA)
+                if content is None:
+                    check_file(self._path)
                 self._session = OnnxSession(self._path, content, self.provider, config.threads,
                                             self._network)
                 arrays = self._run(rgb)
@@ -66,8 +66,13 @@ class DepthEstimator:
             except ProviderError as error:
                 passed_over.append(f'{self.provider} does not run: {error}')
         else:
-            raise ValueError(f'no execution provider runs {self._path}. {"; ".join(passed_over)}. '
+            raise ValueError(f'no execution provider runs depth.model {config.model}. '
+                             f'{"; ".join(passed_over)}. '
                              f'Providers here: {", ".join(available_providers())}')
+        self.name, self.noise_share = self._network.name, self._network.noise_share
+        self.output, self.needs_lens = self._network.output, self._network.outputs.needs_lens
+        self.focal_per_height = self._network.focal_per_height
+        self._views = self._network.views
         self.reason = '; '.join([reason, *passed_over, f'runs on {self.provider}'])
         prediction = self._read(arrays, rgb, plausibility.CORRIDOR_LENS)
         # In a smaller input a network cannot see the checkerboard.

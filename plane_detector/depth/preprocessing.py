@@ -146,9 +146,10 @@ def prepare_input(rgb: np.ndarray, size: tuple[int, int], recipe: InputRecipe) -
         framing.crop(whole)[:] = image
         image = whole
     planes = np.empty((3, size[1], size[0]), np.float32)
-    for channel, (mean, std) in enumerate(zip(recipe.mean, recipe.std, strict=True)):
-        np.multiply(image[..., channel], np.float32(recipe.scale / std), out=planes[channel])
-        planes[channel] -= np.float32(mean / std)
+    cv2.split(image, list(planes))  # half the time of reading channels with a stride
+    for plane, mean, std in zip(planes, recipe.mean, recipe.std, strict=True):
+        plane *= np.float32(recipe.scale / std)
+        plane -= np.float32(mean / std)
     return planes
 
 

@@ -226,6 +226,16 @@ def test_auto_uses_the_best_available_network_and_says_why(tmp_path, monkeypatch
         choose(tmp_path, 'disparity')
 
 
+def test_auto_takes_sixteen_bits_on_a_gpu_alone(tmp_path, monkeypatch, server):
+    for name in ('depth_anything_v2_small', 'depth_anything_v2_small_fp16'):
+        put(monkeypatch, name, UrlSource(server.url + '/good.onnx'))
+    config = DepthConfig(cache_dir=str(tmp_path), output='relative_disparity')
+    assert resolve(config).network.name == 'depth_anything_v2_small'
+    assert resolve(config, True).network.name == 'depth_anything_v2_small_fp16'
+    named = dataclasses.replace(config, model='depth_anything_v2_small')
+    assert resolve(named, True).network.name == 'depth_anything_v2_small'
+
+
 def test_a_silent_host_is_asked_once_and_what_to_do_is_said(tmp_path, monkeypatch, silent_url):
     for name in AUTO_ORDER:
         put(monkeypatch, name, UrlSource(f'{silent_url}/{name}.onnx'))

@@ -14,8 +14,10 @@ from onnx_models import (
 from slow_networks import HEIGHT, WIDTH, write_slow_network
 
 from plane_detector.config import DepthConfig
+from plane_detector.depth import onnx_session
 from plane_detector.depth.estimator import DepthEstimator
 from plane_detector.depth.networks import NETWORKS, default_cache_dir
+from plane_detector.depth.onnx_session import ProviderError, check_provider
 from plane_detector.evaluation.datasets import frames
 from plane_detector.stopping import Background, Stopped
 
@@ -71,7 +73,7 @@ def test_providers_are_tried_in_order_and_the_one_in_use_is_reported(tmp_path):
     estimate = DepthEstimator(config_for(
         path, providers=('NoSuchExecutionProvider', 'CPUExecutionProvider'), threads=1))
     assert estimate.provider == 'CPUExecutionProvider'
-    assert 'NoSuchExecutionProvider does not run: not in this build' in estimate.reason
+    assert 'NoSuchExecutionProvider does not run: ONNX Runtime knows no' in estimate.reason
     assert 'runs on CPUExecutionProvider' in estimate.reason
     with pytest.raises(ValueError, match='no execution provider.*NoSuch.*CPUExecutionProvider'):
         DepthEstimator(config_for(path, providers=('NoSuchExecutionProvider',)))
@@ -79,6 +81,32 @@ def test_providers_are_tried_in_order_and_the_one_in_use_is_reported(tmp_path):
         str(path), 0.0, 0.0)
     with pytest.raises(ValueError, match=r'depth\.output must state'):
         DepthEstimator(config_for(path, output='auto'))
+
+
+def test_what_a_provider_lacks_is_named(tmp_path, monkeypatch):
+    with pytest.raises(ProviderError, match=r'not in this build.*onnxruntime-gpu\[cuda,cudnn\]'):
+        check_provider('CUDAExecutionProvider')
+    monkeypatch.setattr(onnx_session, '_is_installed', lambda package: True)
+    with pytest.raises(ProviderError, match='both installed.*uninstall onnxruntime onnxr'):
+        check_provider('CUDAExecutionProvider')
+    # A build for a GPU whose library needs another one that is not there.
+    monkeypatch.setattr(onnx_session.ort, 'get_available_providers',
+                        lambda: ['CUDAExecutionProvider', 'TensorrtExecutionProvider'])
+    monkeypatch.setattr(onnx_session.ort, '__file__', str(tmp_path / '__init__.py'))
+    (tmp_path / 'capi').mkdir()
+    for name in ('cuda', 'tensorrt'):
+        (tmp_path / 'capi' / f'libonnxruntime_providers_{name}.so').touch()
+    for missing, provider, remedy in (
+            ('libcublasLt.so.13', 'CUDA', r'pip install .onnxruntime-gpu\['),
+            ('libcuda.so.1', 'CUDA', 'driver'),
+            ('libnvinfer.so.10', 'Tensorrt', 'pip install tensorrt')):
+        def load(path, mode, missing=missing):
+            raise OSError(f'{missing}: cannot open shared object file: No such file or directory')
+        monkeypatch.setattr(onnx_session.ctypes, 'CDLL', load)
+        onnx_session._missing_library.cache_clear()
+        with pytest.raises(ProviderError, match=f'{missing}: cannot open.*{remedy}'):
+            check_provider(f'{provider}ExecutionProvider')
+    onnx_session._missing_library.cache_clear()
 
 
 def test_a_file_that_is_not_a_network_is_refused(tmp_path):

@@ -31,6 +31,7 @@ COMMANDS = {
     'shapes': ('shapes', 'spheres, cylinders and cones among planes'),
     'relative': ('relative', 'angles in relative disparity with the errors of a network'),
     'orientation': ('orientation', 'directions from lines, and planes with them'),
+    'network': ('network', 'depth networks on an execution provider'),
     'node': ('node', 'the node as a process, over DDS'),
     'ablation': ('ablation', 'each stage of the segmentation switched off'),
 }

@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 import pytest
 from data_files import write_frame
+from onnx_models import write_depth_network
 
 from plane_detector.evaluation.benchmark import __main__ as program
 from plane_detector.evaluation.benchmark.__main__ import COMMANDS, main
@@ -38,6 +39,8 @@ RUNS = {
          r'all \| 1.000, 1.000 \| - .* \| 1 of 1 \| 1.000 \| 0 of 1 \|[\s\S]*'
          r'0.0 \| 20 cm \| 20 cm \| 20 cm \| 2 m'),
     'shapes --scenes 1 --first-seed 0': ({'shapes.SIGMAS': (0.0,)}, r'0 \| 1 \| \d \| 1.00'),
+    'network net.onnx --output metric_depth --short-side 56 --images 1':
+        ({}, r'net.onnx \| 70 x 56 \| \d+.\d \| \d+ \| \d+.\d \| \d+.\d \| \d+.\d'),
     'orientation --only rendered --scenes 1 --first-seed 300 --data nowhere':
         ({'orientation.SCENES': {'rooms': random_room}},
          r'rooms \| 1 of 1 answer.*\n\| strokes of all directions \| 0 of 1 answer')}
@@ -64,6 +67,9 @@ def test_a_command_prints_its_tables(command, data, monkeypatch, capsys, tmp_pat
     monkeypatch.chdir(tmp_path)
     if '--plots' in options:
         pytest.importorskip('matplotlib', reason='plane_detector[benchmark] is missing')
+    if name == 'network':
+        pytest.importorskip('onnx', reason='onnx, of the extra "test", is not installed')
+        write_depth_network(tmp_path / options[0], weights=(0.1, 0.1, 0.1, 3.0))
     for place, value in replaced.items():
         monkeypatch.setattr(f'{MODULE}.{place}', value)
     takes_data = ('--data' in program.subcommand(name)[1].format_usage()
