@@ -15,6 +15,7 @@ from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch_ros.actions import Node
 
 from launch import LaunchContext, LaunchDescription
+from plane_detector.config import DepthConfig, NodeConfig
 
 PACKAGE = 'plane_detector'
 RESPAWN_DELAY_S = 5.0
@@ -28,7 +29,9 @@ ARGUMENTS = {
     'camera_info': ('', 'topic of its CameraInfo; empty: camera_info beside image'),
     'depth': ('depth', 'topic of measured depth, registered to the image'),
     'imu': ('imu', 'topic of the IMU, for use_imu'),
-    'depth_source': ('', 'model or topic'),
+    'depth_source': ('', 'model, topic or points'),
+    'depth_transport': ('', 'raw or compressedDepth'),
+    'depth_colour': ('', 'none: depth alone, no image is needed'),
     'depth_model': ('', 'depth network: a name of the zoo, an .onnx file or auto'),
     'image_transport': ('', 'raw or compressed'),
     'max_side': ('', 'larger images are reduced to this many pixels'),
@@ -38,7 +41,8 @@ ARGUMENTS = {
     'base_frame': ('', 'frame of the robot on the floor, for gravity and camera height from TF'),
     'target_frame': ('', 'frame of the outputs'),
     'plane_map': ('', 'true: keep a map of the planes in target_frame, odom or map'),
-    'points_color': ('', 'colours of ~/points: image, labels or overlay'),
+    'map_file': ('', 'file of the map for ~/map/save and ~/map/load'),
+    'points_color': ('', 'colours of ~/points: image, label or overlay'),
     'processing_mode': ('', 'continuous or on_demand'),
     'autostart': ('', 'false: a lifecycle manager configures and activates'),
     'respawn': ('false', 'true: start the node again when it ends; with exit_on_failure'),
@@ -51,12 +55,14 @@ IS_ON = {'': False, 'true': True, 'True': True, 'false': False, 'False': False}
 SWITCHES = ('use_imu', 'plane_map', 'autostart', 'use_sim_time', 'respawn', 'rviz')
 TOPICS = ('image', 'camera_info', 'depth', 'imu')
 # Those whose parameter has another name.
-PARAMETERS = {'depth_source': 'depth.source', 'depth_model': 'depth.model',
+PARAMETERS = {'depth_source': 'depth.source', 'depth_transport': 'depth.transport',
+              'depth_colour': 'depth.colour', 'depth_model': 'depth.model',
               'processing_mode': 'mode', 'camera_height': 'scale.camera_height',
-              'gravity': 'scale.gravity', 'plane_map': 'map.enabled'}
-OVERRIDES = ('depth_source', 'depth_model', 'image_transport', 'max_side', 'camera_height',
-             'gravity', 'use_imu', 'base_frame', 'target_frame', 'plane_map', 'points_color',
-             'processing_mode', 'autostart', 'use_sim_time')
+              'gravity': 'scale.gravity', 'plane_map': 'map.enabled', 'map_file': 'map.file'}
+OVERRIDES = ('depth_source', 'depth_transport', 'depth_colour', 'depth_model', 'image_transport',
+             'max_side', 'camera_height', 'gravity', 'use_imu', 'base_frame', 'target_frame',
+             'plane_map', 'map_file', 'points_color', 'processing_mode', 'autostart',
+             'use_sim_time')
 # What their text is turned into, where the parameter is no text.
 READ = {**dict.fromkeys(SWITCHES, IS_ON.get), 'max_side': int, 'camera_height': float,
         'gravity': lambda text: [float(number) for number in re.findall(r'[-+.\de]+', text)]}
@@ -80,7 +86,12 @@ CAMERAS = {
     # github.com/ros-drivers/usb_cam, README: ros2 run usb_cam usb_cam_node_exe.
     'usb_cam': {'image': '/image_raw'},
 }
-CHOICES = {**dict.fromkeys(SWITCHES, [*IS_ON]), 'camera': ['', *CAMERAS]}
+CHOICES = {**dict.fromkeys(SWITCHES, [*IS_ON]), 'camera': ['', *CAMERAS], **{
+    name: ['', *settings.__dataclass_fields__[
+        PARAMETERS.get(name, name).removeprefix('depth.')].metadata['choices']]
+    for settings, name in ((DepthConfig, 'depth_source'), (DepthConfig, 'depth_transport'),
+                           (DepthConfig, 'depth_colour'), (NodeConfig, 'image_transport'),
+                           (NodeConfig, 'points_color'), (NodeConfig, 'processing_mode'))}}
 # Fast DDS as it comes loses images between processes.
 PROFILES = 'FASTRTPS_DEFAULT_PROFILES_FILE'
 PROFILE_NAMES = (PROFILES, 'FASTDDS_DEFAULT_PROFILES_FILE')
@@ -107,7 +118,7 @@ def start_nodes(context: LaunchContext) -> list[Node]:
     file = Path(value['params_file'] or share / 'config' / f'{PACKAGE}.yaml').expanduser()
     if not file.is_file():
         raise FileNotFoundError(f'params_file: there is no file {file}')
-    overrides = {PARAMETERS.get(name, name): READ.get(name, str)(value[name])
+    overrides = {PARAMETERS.get(name, name): read(name, value[name])
                  for name in OVERRIDES if value[name]}
     respawn = IS_ON[value['respawn']]
     if respawn:
@@ -121,8 +132,18 @@ def start_nodes(context: LaunchContext) -> list[Node]:
         remappings=remappings, respawn=respawn, respawn_delay=RESPAWN_DELAY_S,
         additional_env=profile, arguments=['--ros-args', '--log-level', value['log_level']])]
     if IS_ON[value['rviz']]:
+        frame = ['--frame', value['target_frame']] if value['target_frame'] else []
         nodes.append(Node(
             package=PACKAGE, executable='rviz', namespace=value['namespace'], output='screen',
-            arguments=['--node', value['node_name']], remappings=remappings,
+            arguments=['--node', value['node_name'], *frame], remappings=remappings,
+            parameters=[{'use_sim_time': bool(IS_ON[value['use_sim_time']])}],
             additional_env=profile))
     return nodes
+
+
+def read(name: str, text: str) -> object:
+    """Return the value of an argument for its parameter."""
+    try:
+        return READ.get(name, str)(text)
+    except ValueError as error:
+        raise ValueError(f'{name}:={text}: must be a number, such as 1.2') from error

@@ -16,6 +16,9 @@ from launch_ros.actions import Node
 from launch import LaunchContext, LaunchDescription
 
 PACKAGE, MANAGER = 'plane_detector', 'nav2_lifecycle_manager'
+# The first start compiles and may download a network. Managers without this parameter, older than
+# its default of 5 s, wait as long as it takes.
+CONFIGURE_TIMEOUT_S = 600.0
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -45,4 +48,4 @@ def start_manager(context: LaunchContext) -> list[Node]:
         package=MANAGER, executable='lifecycle_manager', name='lifecycle_manager_planes',
         namespace=value['namespace'], output='screen',
         parameters=[{'autostart': True, 'node_names': [value['node_name']], 'bond_timeout': 0.0,
-                     'use_sim_time': is_simulated}])]
+                     'service_timeout': CONFIGURE_TIMEOUT_S, 'use_sim_time': is_simulated}])]

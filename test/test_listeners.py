@@ -86,6 +86,8 @@ def map_msg():
     surfaces = (surface(3, level, 1, (1, 2, 0.75), 14, 24),
                 surface(4, level, 1, (1, 1, 0.85), 2, 24),
                 surface(5, level, -1, (1, 2, 0.7), 14, 24),
+                surface(6, PlaneClass.STEP, 1, (3, 2, 0.4), 14, 24),
+                surface(7, PlaneClass.FLOOR, 1, (3, 4, 0.9), 14, 24),
                 surface(1, PlaneClass.FLOOR, 1, (0, 0, 0), 60, 60))
     return map_planes_to_msg(MapView(header(1.0), MapSnapshot(
         surfaces, as_planes(surfaces), RigidTransform.identity()), {9: 3}))
@@ -120,7 +122,12 @@ def test_tables_are_given_to_moveit_and_taken_away(listener, monkeypatch):
     monkeypatch.setattr(rclpy, 'spin', lambda node: [
         received[0](msg) for msg in (map_msg(), nothing)])
     runpy.run_path(str(EXAMPLES / 'tables_to_moveit.py'))['main']()
-    ((table,), (gone,)) = (change.world.collision_objects for change in changes)
+    tables, taken = (change.world.collision_objects for change in changes)
+    # A table, a low one, one that fills the view of an arm; no floor, underside or narrow board.
+    assert {one.id: round(one.pose.position.z, 3) for one in tables} == {
+        'table_3': 0.74, 'table_6': 0.39, 'table_7': 0.89}
+    assert {one.id for one in taken} == {one.id for one in tables}
+    table, gone = tables[0], taken[0]
     assert (table.id, table.operation) == ('table_3', MoveitMessage.ADD)
     assert table.header.frame_id == map_msg().header.frame_id
     assert list(table.primitives[0].dimensions) == pytest.approx([1.2, 0.7, 0.02], abs=1e-3)

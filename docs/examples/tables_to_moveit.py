@@ -11,7 +11,12 @@ surface of what stands on it, `support_surface_name` of MoveIt's Pickup and Plac
 the allowed collisions. MoveIt must know the frame of the map.
 """
 
-OTHER_HORIZONTAL = 4  # the class of a level surface that is not the floor
+# Classes of level surfaces above the floor: 4, and 7 within half a metre of it. A table that fills
+# the view of an arm looks like a floor (1), which is no table below z = LEAST_HEIGHT_M. For an arm
+# on its own table, whose frame begins there, lower that; or state the height of the camera above
+# the floor to the detector (scale.camera_height), which then knows the floor.
+ABOVE_FLOOR, FLOOR = (4, 7), 1
+LEAST_HEIGHT_M = 0.1
 LEAST_SIDE_M = 0.2  # smaller surfaces are left out
 THICKNESS_M = 0.02  # of a box; its upper face is the plane
 
@@ -25,7 +30,9 @@ def boxes_of(planes):
     """
     boxes = {}
     for plane in planes:
-        if (plane['subsumed_by'] or plane['class'] != OTHER_HORIZONTAL
+        is_above = plane['class'] in ABOVE_FLOOR or (
+            plane['class'] == FLOOR and plane['rect_z'] > LEAST_HEIGHT_M)
+        if (plane['subsumed_by'] or not is_above
                 or plane['normal_z'] < 0.9  # an underside, or the frame does not have z up
                 or plane['rect_height'] < LEAST_SIDE_M):
             continue

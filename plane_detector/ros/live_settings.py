@@ -28,6 +28,8 @@ def load_kernels(config: Config, log: Callable[[str], None]) -> None:
                 'tracking']
     if not config.depth.is_measured:
         subjects.append('network')
+    if config.depth.transport == 'compressedDepth':
+        subjects.append('rvl')
     if config.shapes.wanted:
         subjects.append('shapes')
     if config.map.enabled:

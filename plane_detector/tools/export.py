@@ -14,9 +14,11 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from xml.sax.saxutils import escape
 
 import cv2
 import numpy as np
+import yaml
 
 from plane_detector.drawing import plane_colours
 from plane_detector.ending import run_program
@@ -34,8 +36,19 @@ LEAST_GAP_M = 0.4
 _LEVEL, _UPRIGHT = np.cos(np.radians(10.0)), np.sin(np.radians(10.0))
 # chosen: the resolution of the usual costmaps.
 KEEP_OUT_CELL_M = 0.05
-_PIXELS_PER_M, _MARGIN_M = 100, 0.25
-_COLOURS = {'floor': '#d9ead3', 'surface': '#f6d7a7'}
+# The longer side of a floor plan, its border, and the strip below with scale and legend.
+_LONG_SIDE_PX, _BORDER_PX, _STRIP_PX = 1000, 40, 70
+# Wide enough for the height of a surface to be written on it.
+_NAMED_PX = 60
+# As everywhere: floors green, level surfaces yellow-brown, walls blue.
+_STYLE = """
+.paper { fill: #fff } .floor { fill: #cfe8c8 } .surface { fill: #e8c98a; stroke: #8a6d2b }
+.wall { stroke: #2b5fa8; stroke-width: 6; stroke-linecap: round } .ink { stroke: #222 }
+text { font: 16px sans-serif; fill: #222 }
+@media (prefers-color-scheme: dark) {
+.paper { fill: #181a1b } .floor { fill: #2c4a2a } .surface { fill: #7a6230; stroke: #d9b866 }
+.wall { stroke: #7fb0f5 } .ink { stroke: #ddd } text { fill: #ddd } }
+"""
 
 
 @dataclass(frozen=True)
@@ -115,31 +128,57 @@ def _wall_pieces(plane: MapPlane, to_frame, floor_m: float) -> list[np.ndarray]:
 
 
 def to_svg(plan: FloorPlan) -> str:
-    """Return the plan as SVG, y up, 100 pixels a metre."""
+    """Return the plan as SVG, y up, with scale and legend, for light and dark viewers."""
     points = [ends for _, ends in plan.walls] + [
         corners for level in plan.levels for corners, _ in level.parts]
     together = np.vstack(points) if points else np.zeros((1, 2))
-    low, high = together.min(axis=0) - _MARGIN_M, together.max(axis=0) + _MARGIN_M
+    low, high = together.min(axis=0), together.max(axis=0)
+    px_per_m = _LONG_SIDE_PX / max(*(high - low), 1.0)
 
-    def place(corners: np.ndarray) -> list[list[float]]:
-        return (_PIXELS_PER_M * np.column_stack([corners[:, 0] - low[0], high[1] - corners[:, 1]])
-                ).round(1).tolist()
+    def place(corners: np.ndarray) -> np.ndarray:
+        return np.round(_BORDER_PX + px_per_m * np.column_stack(
+            [corners[:, 0] - low[0], high[1] - corners[:, 1]]), 1)
 
-    width, height = (_PIXELS_PER_M * (high - low)).round().astype(int)
-    lines = [f'<svg xmlns="http://www.w3.org/2000/svg" width="{width}" height="{height}">']
+    width, bottom = (2 * _BORDER_PX + px_per_m * (high - low)).round().astype(int)
+    width, height = max(width, 600), bottom + _STRIP_PX
+    lines = [f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" '
+             f'width="{width}" height="{height}">', f'<style>{_STYLE}</style>',
+             f'<rect class="paper" width="{width}" height="{height}"/>']
+    names = []
     for level in plan.levels:
-        path = ' '.join('M' + ' L'.join(f'{x} {y}' for x, y in place(corners)) + ' Z'
-                        for corners, _ in level.parts)
-        lines.append(f'<path d="{path}" fill="{_COLOURS[level.kind]}" fill-rule="evenodd">'
+        rings = [place(corners) for corners, _ in level.parts]
+        path = ' '.join('M' + ' L'.join(f'{x} {y}' for x, y in ring.tolist()) + ' Z'
+                        for ring in rings)
+        lines.append(f'<path d="{path}" class="{level.kind}" fill-rule="evenodd">'
                      f'<title>{_title(level)}</title></path>')
+        largest = max(rings, key=lambda ring: np.ptp(ring, axis=0).min(), default=None)
+        if level.kind == 'surface' and largest is not None and (
+                np.ptp(largest, axis=0).min() > _NAMED_PX):
+            x, y = ((largest.min(axis=0) + largest.max(axis=0)) / 2).tolist()
+            names.append(f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="middle">'
+                         f'{level.height_m:.2f} m</text>')
     for label, ends in plan.walls:
-        (x1, y1), (x2, y2) = place(ends)
-        lines.append(f'<line x1="{x1}" y1="{y1}" x2="{x2}" y2="{y2}" stroke="#333" '
-                     f'stroke-width="4"><title>wall {label}</title></line>')
-    # How long a metre is.
-    lines.append(f'<path d="M10 {height - 10} h{_PIXELS_PER_M}" stroke="#333"/>'
-                 f'<text x="10" y="{height - 14}" font-size="12">1 m</text>')
-    return '\n'.join([*lines, '</svg>', ''])
+        (x1, y1), (x2, y2) = place(ends).tolist()
+        lines.append(f'<line x1="{x1}" y1="{y1}" x2="{x2}" y2="{y2}" class="wall">'
+                     f'<title>wall {label}</title></line>')
+    return '\n'.join([*lines, *names, *_legend(bottom, px_per_m, plan.frame_id), '</svg>', ''])
+
+
+def _legend(top: int, px_per_m: float, frame_id: str) -> list[str]:
+    """Return the strip below a plan: how long a metre is, colours, the frame."""
+    y, metre = top + 20, round(px_per_m, 1)
+    start = _BORDER_PX
+    lines = [f'<path class="ink" fill="none" d="M{start} {y - 8} v16 m0 -8 h{metre} m0 -8 v16"/>',
+             f'<text x="{start + metre + 10:.1f}" y="{y + 6}">1 m, frame {escape(frame_id)}'
+             '</text>']
+    for k, (kind, name) in enumerate((('floor', 'floor'), ('surface', 'level surface, its height'),
+                                      ('wall', 'wall'))):
+        x = start + (0, 110, 360)[k]
+        lines += [f'<rect class="{kind}" x="{x}" y="{y + 18}" width="24" height="16"/>'
+                  if kind != 'wall' else
+                  f'<path class="wall" d="M{x} {y + 26} h24"/>',
+                  f'<text x="{x + 32}" y="{y + 32}">{name}</text>']
+    return lines
 
 
 def _title(level: Level) -> str:
@@ -183,10 +222,10 @@ def write_keep_out(plan: FloorPlan, path: Path) -> None:
     picture = path.with_suffix('.pgm')
     if not cv2.imwrite(str(picture), image):
         raise OSError(f'{picture} cannot be written')
-    path.write_text(
-        f'image: {picture.name}\nmode: trinary\nresolution: {KEEP_OUT_CELL_M}\n'
-        f'origin: [{low[0]:.3f}, {low[1]:.3f}, 0.0]\nnegate: 0\n'
-        'occupied_thresh: 0.65\nfree_thresh: 0.25\n', encoding='utf-8')
+    path.write_text(yaml.safe_dump({
+        'image': picture.name, 'mode': 'trinary', 'resolution': KEEP_OUT_CELL_M,
+        'origin': [*low.round(3).tolist(), 0.0], 'negate': 0, 'occupied_thresh': 0.65,
+        'free_thresh': 0.25}, sort_keys=False), encoding='utf-8')
 
 
 def to_ply(saved: SavedMap) -> str:
@@ -226,6 +265,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _export(options: argparse.Namespace) -> int:
+    _check_paths(options)
     saved = read_map(options.map)
     plan = floor_plan(saved)
     for path, text in ((options.floor_plan, to_svg(plan)), (options.geojson, to_geojson(plan)),
@@ -237,6 +277,17 @@ def _export(options: argparse.Namespace) -> int:
         write_keep_out(plan, options.keep_out)
         print(f'{options.keep_out} is written')
     return 0
+
+
+def _check_paths(options: argparse.Namespace) -> None:
+    """Raise ValueError if a file would be written over the map or over another one."""
+    used = {options.map.resolve(): 'the map'}
+    picture = options.keep_out and options.keep_out.with_suffix('.pgm')
+    for path, what in ((options.floor_plan, '--floor-plan'), (options.geojson, '--geojson'),
+                       (options.ply, '--ply'), (options.keep_out, '--keep-out'),
+                       (picture, 'the image of --keep-out')):
+        if path is not None and (other := used.setdefault(path.resolve(), what)) != what:
+            raise ValueError(f'{what} would be written over {other}, {path}: choose another name')
 
 
 if __name__ == '__main__':

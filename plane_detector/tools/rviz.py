@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 import shutil
 import sys
 import tempfile
@@ -30,6 +31,11 @@ with quiet_interrupt(), explained_imports():
 
 _FILE = 'plane_detector.rviz'
 _NODE, _FRAME = 'plane_detector/', 'Fixed Frame: camera_optical_frame'
+# The view of the file is for an optical frame, whose y axis points down; that of odom, map and
+# base_link points up along z (REP-103, REP-105).
+_VIEW = re.compile(r'(Focal Point:\s+X: )\S+(\s+Y: )\S+(\s+Z: )\S+'
+                   r'(.*?Pitch: )\S+(\s+Yaw: )\S+', re.DOTALL)
+_VIEW_OF_Z_UP = r'\g<1>1\g<2>0\g<3>0\g<4>0.7\g<5>3.14'
 
 
 def wait_for_frame(node: Node, timeout_s: float) -> str:
@@ -84,6 +90,8 @@ def main(args: list[str] | None = None) -> int:
     folder = Path(tempfile.mkdtemp(prefix='plane_detector_'))
     file = folder / _FILE
     config = find_config().read_text('utf-8').replace(_FRAME, f'Fixed Frame: {frame}')
+    if options.frame and 'optical' not in options.frame:
+        config = _VIEW.sub(_VIEW_OF_Z_UP, config)
     file.write_text(config.replace(f'Value: {_NODE}', f'Value: {options.node}/'), 'utf-8')
     return os.execv(program, [program, '-d', str(file), *of_ros])
 

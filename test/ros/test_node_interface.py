@@ -12,6 +12,7 @@ from types import ModuleType, SimpleNamespace
 
 import pytest
 from node_helpers import start
+from rclpy.parameter import Parameter
 from ros_helpers import bare_node
 
 from plane_detector.config import Config, DepthConfig, NodeConfig
@@ -19,6 +20,7 @@ from plane_detector.ros.detector_node import PlaneDetectorNode
 from plane_detector.ros.inputs.subscriptions import input_topics
 from plane_detector.ros.node import main, not_of_ros
 from plane_detector.ros.outputs.topics import OUTPUTS
+from plane_detector.ros.parameters import updated
 from plane_detector.settings import parameters_of
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -118,6 +120,8 @@ def test_topics_of_depth(remap, settings, depth, camera_info):
     assert (names['depth'], names['camera_info']) == (depth, camera_info)
 
 
+CHOSEN = ('depth_source', 'depth_transport', 'depth_colour', 'image_transport', 'points_color',
+          'processing_mode')
 YAML = str(ROOT / 'config' / 'plane_detector.yaml')
 PROFILE = 'FASTRTPS_DEFAULT_PROFILES_FILE'
 
@@ -203,10 +207,35 @@ def test_every_parameter_of_an_argument_exists(launched, file):
     names = {name for part in (Config(), NodeConfig()) for name, _, _ in parameters_of(part)}
     texts = dict.fromkeys(file['ARGUMENTS'], 'true') | {
         'params_file': '', 'camera': '', 'max_side': '640', 'camera_height': '1.2',
-        'gravity': '0 1 0'}
+        'gravity': '0 1 0'} | {name: file['CHOICES'][name][1] for name in CHOSEN}
     node, _ = launched(**texts)
     assert set(node['parameters'][1]) <= names | {'use_sim_time'}
     assert len(node['parameters'][1]) == len(file['OVERRIDES']) + 1
+
+
+@pytest.mark.parametrize('name', CHOSEN)
+def test_every_choice_of_an_argument_is_one_of_its_parameter(launched, file, name):
+    _, *choices = file['CHOICES'][name]
+    for choice in choices:
+        node, = launched(**{name: choice})
+        ((parameter, value),) = node['parameters'][1].items()
+        (settings,) = (part for part in (Config(), NodeConfig())
+                       if parameter in {key for key, _, _ in parameters_of(part)})
+        updated(settings, [Parameter('depth.source', value='topic'),
+                           Parameter(parameter, value=value)])
+    with pytest.raises(RuntimeError, match=f'"{name}" provided value "labels"'):
+        launched(**{name: 'labels'})
+
+
+def test_a_number_with_a_comma_is_explained(launched):
+    with pytest.raises(ValueError, match=r'camera_height:=1,2: must be a number, such as 1\.2'):
+        launched(camera_height='1,2')
+
+
+def test_rviz_has_the_clock_and_the_frame_of_the_node(launched):
+    _, rviz = launched(rviz='true', use_sim_time='true', target_frame='odom')
+    assert rviz['parameters'] == [{'use_sim_time': True}]
+    assert rviz['arguments'][-2:] == ['--frame', 'odom']
 
 
 def test_switches_as_launch_files_in_python_write_them(launched):
@@ -220,11 +249,11 @@ def test_switches_as_launch_files_in_python_write_them(launched):
 
 @pytest.mark.parametrize('gravity', ['0 1 0', '[0.0, 1.0, 0.0]', '0,1,0'])
 def test_numbers_are_passed_as_what_the_parameters_are(launched, gravity):
-    (node,) = launched(camera_height='1.2', gravity=gravity, max_side='640', points_color='labels',
+    (node,) = launched(camera_height='1.2', gravity=gravity, max_side='640', points_color='label',
                        plane_map='true')
     given = node['parameters'][1]
     assert given == {'scale.camera_height': 1.2, 'scale.gravity': [0.0, 1.0, 0.0],
-                     'max_side': 640, 'points_color': 'labels', 'map.enabled': True}
+                     'max_side': 640, 'points_color': 'label', 'map.enabled': True}
     assert isinstance(given['max_side'], int)
 
 
@@ -301,4 +330,5 @@ def test_the_manager_has_name_and_namespace_of_the_node(managed, monkeypatch):
     assert (node['name'], node['namespace']) == ('planes', 'front')
     assert manager['namespace'] == 'front'
     assert manager['parameters'] == [{'autostart': True, 'node_names': ['planes'],
-                                      'bond_timeout': 0.0, 'use_sim_time': True}]
+                                      'bond_timeout': 0.0, 'service_timeout': 600.0,
+                                      'use_sim_time': True}]

@@ -3,11 +3,13 @@
 """A map as floor plan and as PLY: a room with a doorway and a table, built by hand."""
 
 import json
+import re
 from xml.etree import ElementTree
 
 import cv2
 import numpy as np
 import pytest
+import yaml
 from map_helpers import map_plane
 
 from plane_detector.geometry.rigid_transform import RigidTransform
@@ -54,16 +56,53 @@ def test_files(saved, tmp_path, capsys):
     words = [word for option, path in names.items() for word in (option, str(path))]
     assert main([str(tmp_path / 'map.json'), *words]) == 0
     svg = ElementTree.parse(names['--floor-plan']).getroot()
-    assert len([one for one in svg if one.tag.endswith('line')]) == 2
+    walls = [one for one in svg if one.tag.endswith('line')]
+    assert len(walls) == 2
+    (metre_px,) = (float(re.search(r'h([0-9.]+)', one.get('d'))[1]) for one in svg
+                   if one.get('class') == 'ink')
+    ends_px = sorted(float(wall.get(end)) for wall in walls for end in ('x1', 'x2'))
+    assert np.diff(ends_px) / metre_px == pytest.approx([1.5, 0.9, 1.6], abs=0.01)
+    assert float(svg.get('width')) > 600
+    texts = [one.text for one in svg if one.tag.endswith('text')]
+    assert '0.75 m' in texts and '1 m, frame odom' in texts
     kinds = [feature['properties']['kind'] for feature in json.loads(
         names['--geojson'].read_text())['features']]
     assert kinds == ['wall', 'wall', 'floor', 'surface']
     mask = cv2.imread(str(tmp_path / 'keep_out.pgm'), cv2.IMREAD_UNCHANGED)
     _, columns = np.nonzero(mask == 0)
     assert len(columns) == pytest.approx(3.1 / 0.05, abs=4)  # 1.5 and 1.6 m of wall
-    assert 'origin: [' in (tmp_path / 'keep_out.yaml').read_text()
     assert 'element face' in names['--ply'].read_text()
     assert 'is written' in capsys.readouterr().out
+
+
+@pytest.mark.parametrize('name', ['keep out.yaml', 'keep #2.yaml', 'a: b.yaml', "it's.yaml"])
+def test_nav2_finds_the_wall_where_it_stands(saved, tmp_path, name):
+    write_map(tmp_path / 'map.json', saved)
+    assert main([str(tmp_path / 'map.json'), '--keep-out', str(tmp_path / name)]) == 0
+    facts = yaml.safe_load((tmp_path / name).read_text())
+    mask = cv2.imread(str(tmp_path / facts['image']), cv2.IMREAD_UNCHANGED)
+
+    def is_occupied(x_m, y_m):  # as the map server reads it: the last row is at the origin
+        place_m = np.array([x_m, y_m]) - facts['origin'][:2]
+        column, row = (place_m / facts['resolution']).astype(int)
+        return (mask[len(mask) - 1 - row - 1:len(mask) - row + 1, column] == 0).any()
+
+    assert all(is_occupied(x_m, 3.0) for x_m in (0.1, 1.4, 2.5, 3.9))
+    assert not any(is_occupied(x_m, y_m) for x_m, y_m in (
+        (1.9, 3.0), (0.1, 2.7), (0.1, 0.5), (2.0, 1.0), (3.9, 3.3)))
+
+
+def test_nothing_is_written_over_the_map_or_another_file(saved, tmp_path, capsys):
+    file = tmp_path / 'map.json'
+    write_map(file, saved)
+    before = file.read_text()
+    for words in (['--geojson', 'map.json'], ['--ply', 'a', '--geojson', 'a'],
+                  ['--keep-out', 'a.pgm'], ['--keep-out', 'a.yaml', '--ply', 'a.pgm']):
+        words = [word if word.startswith('--') else str(tmp_path / word) for word in words]
+        assert main([str(file), *words]) == 1
+        assert 'would be written over' in capsys.readouterr().err
+        assert [path.name for path in tmp_path.iterdir()] == ['map.json']
+    assert file.read_text() == before
 
 
 def test_a_file_that_is_no_map_gives_a_reason(tmp_path, capsys):

@@ -159,20 +159,26 @@ def test_the_frame_is_that_of_the_camera(robot):
     assert found == 'camera_optical_frame'
 
 
-def test_rviz_is_started_with_the_frame(monkeypatch, tmp_path):
+@pytest.mark.parametrize('frame, is_above', [('map', True), ('camera_optical_frame', False)])
+def test_rviz_is_started_with_the_frame(frame, is_above, monkeypatch, tmp_path):
+    """It looks from above: along -z of a frame of the robot, along y of an optical one."""
     program = tmp_path / 'rviz2'
     program.write_text('#!/bin/sh\n')
     program.chmod(0o755)
     monkeypatch.setenv('PATH', str(tmp_path), prepend=os.pathsep)
     started = []
     monkeypatch.setattr(os, 'execv', lambda path, words: started.append(words))
-    rviz.main(['--frame', 'map', '--ros-args', '-r', '__ns:=/front'])
+    rviz.main(['--frame', frame, '--ros-args', '-r', '__ns:=/front'])
     (words,) = started
     assert words[0] == str(program)
     assert words[1] == '-d'
     assert words[3:] == ['--ros-args', '-r', '__ns:=/front']
     with open(words[2], encoding='utf-8') as file:
-        assert 'Fixed Frame: map' in file.read()
+        display = yaml.safe_load(file)['Visualization Manager']
+    assert display['Global Options']['Fixed Frame'] == frame
+    view = display['Views']['Current']
+    assert (view['Pitch'] > 0.3) == is_above  # of Orbit: the height of the eye over x and y
+    assert view['Focal Point']['Z'] == (0 if is_above else 2)
 
 
 @pytest.fixture(autouse=True)

@@ -6,10 +6,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from plane_detector.compilation import kernel
+
 _WORD_NIBBLES = 8
 _CONTINUES = 8  # bit of a nibble; the other three are of the number
-# derived: a difference of two depths has 17 bits with its sign, in groups of three.
-_MOST_NIBBLES = 6
+# derived: no number of an image has more than 31 bits, in groups of three.
+_MOST_SHIFT = 30
+_ENDS, _TOO_LARGE, _MISFIT, _RANGE = 1, 2, 3, 4
 
 
 def decode_rvl(data: bytes, count: int) -> np.ndarray:
@@ -47,36 +50,56 @@ def decode_rvl(data: bytes, count: int) -> np.ndarray:
 
     """
     words = np.frombuffer(data[:len(data) // 4 * 4], '<u4')
-    if len(words) * _WORD_NIBBLES > _MOST_NIBBLES * count + 8 * _WORD_NIBBLES:
-        raise ValueError(f'the RVL data is longer than {count} pixels can be')
-    numbers = _numbers((words[:, None] >> np.arange(28, -1, -4, dtype=np.uint32)).ravel() & 15)
-    is_value = np.ones(len(numbers), bool)
-    lengths, at, done, coded = [], 0, 0, numbers.tolist()
-    while done < count:
-        if at + 2 > len(coded):
-            raise ValueError('the RVL data breaks off')
-        zeros, values = coded[at:at + 2]
-        lengths += zeros, values
-        is_value[at:at + 2] = False
-        at, done = at + 2 + values, done + zeros + values
-        if not zeros + values or done > count or at > len(coded):
-            raise ValueError(f'the RVL data is not that of {count} pixels')
-    changes = numbers[:at][is_value[:at]]
-    depths = np.cumsum((changes >> 1) ^ -(changes & 1))
-    if len(depths) and not 1 <= depths.min() <= depths.max() <= 65535:
-        raise ValueError('the RVL data has a depth that is not in 1 to 65535')
     pixels = np.zeros(count, np.uint16)
-    pixels[np.repeat(np.arange(len(lengths)) % 2 == 1, lengths)] = depths
+    fault = _decode(words, pixels)
+    if fault == _ENDS:
+        raise ValueError('the RVL data breaks off')
+    if fault == _TOO_LARGE:
+        raise ValueError('the RVL data has a number that is too large')
+    if fault == _MISFIT:
+        raise ValueError(f'the RVL data is not that of {count} pixels')
+    if fault == _RANGE:
+        raise ValueError('the RVL data has a depth that is not in 1 to 65535')
     return pixels
 
 
-def _numbers(nibbles: np.ndarray) -> np.ndarray:
-    """Return the numbers (N,) int64 that end within the nibbles."""
-    ends = np.flatnonzero(nibbles < _CONTINUES)
-    if not len(ends):
-        return ends
-    starts = np.concatenate([[0], ends[:-1] + 1])
-    if (ends - starts > _WORD_NIBBLES).any():  # three bits of each: no length is so large
-        raise ValueError('the RVL data has a number that is too large')
-    place = np.arange(ends[-1] + 1) - np.repeat(starts, ends - starts + 1)
-    return np.add.reduceat((nibbles[:ends[-1] + 1] & 7).astype(np.int64) << 3 * place, starts)
+@kernel("UniTuple(int64, 2)(Array(uint32, 1, 'C', readonly=True), int64)", subject='rvl')
+def _number(words, at):
+    """Return the number that begins at a nibble, or minus what is wrong, and the nibble after."""
+    number, shift, nibble = 0, 0, _CONTINUES
+    while nibble >= _CONTINUES:
+        if at == len(words) * _WORD_NIBBLES:
+            return -_ENDS, at
+        if shift > _MOST_SHIFT:
+            return -_TOO_LARGE, at
+        place = 28 - 4 * (at % _WORD_NIBBLES)
+        nibble = (np.int64(words[at // _WORD_NIBBLES]) >> place) & 15
+        number |= (nibble & 7) << shift
+        at, shift = at + 1, shift + 3
+    return number, at
+
+
+@kernel("int64(Array(uint32, 1, 'C', readonly=True), uint16[::1])", subject='rvl')
+def _decode(words, pixels):
+    """Fill the pixels; return what is wrong with the data, or 0."""
+    at, done, depth = 0, 0, 0
+    while done < len(pixels):
+        zeros, at = _number(words, at)
+        values, at = _number(words, at)
+        if min(zeros, values) < 0:
+            return -min(zeros, values)
+        done += zeros
+        # An encoder writes no run without values, but for the zeros at the end: each round fills
+        # pixels, so that hostile data takes no longer than an image.
+        if done + values > len(pixels) or (values == 0 and done < len(pixels)):
+            return _MISFIT
+        for k in range(done, done + values):
+            change, at = _number(words, at)
+            if change < 0:
+                return -change
+            depth += (change >> 1) ^ -(change & 1)
+            if depth < 1 or depth > 65535:
+                return _RANGE
+            pixels[k] = depth
+        done += values
+    return 0

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import time
-from bisect import bisect_left
+from bisect import bisect_left, bisect_right
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, Protocol
@@ -33,15 +33,20 @@ class TransformError(ValueError):
 
 @dataclass
 class _Edge:
-    """The transforms from a frame to its parent, ordered by time."""
+    """The transforms from a frame to its parents, ordered by time; the parent may change."""
 
-    parent: str
     is_static: bool
     stamps_ns: list[int] = field(default_factory=list)
+    parents: list[str] = field(default_factory=list)
     transforms: list[RigidTransform] = field(default_factory=list)
 
+    def parent_at(self, stamp_ns: int) -> str:
+        """Return the parent at a time, the one before until the next one is known."""
+        return self.parents[-1 if self.is_static else
+                            max(bisect_right(self.stamps_ns, stamp_ns) - 1, 0)]
+
     def at(self, stamp_ns: int) -> RigidTransform:
-        """Return the transform at a time, interpolated between its neighbours."""
+        """Return the transform at a time, interpolated between neighbours of the same parent."""
         if self.is_static:
             return self.transforms[-1]
         index = bisect_left(self.stamps_ns, stamp_ns)
@@ -49,7 +54,9 @@ class _Edge:
             return self.transforms[index]
         if index in (0, len(self.stamps_ns)):
             raise TransformError('the time is before the first or after the last transform to '
-                                 f'{self.parent}')
+                                 f'{self.parent_at(stamp_ns)}')
+        if self.parents[index - 1] != self.parents[index]:
+            return self.transforms[index - 1]  # as in tf2
         before_ns, after_ns = self.stamps_ns[index - 1:index + 1]
         share = (stamp_ns - before_ns) / (after_ns - before_ns)
         return interpolate(*self.transforms[index - 1:index + 1], share)
@@ -73,10 +80,11 @@ class TransformBuffer:
         """
         transform, stamp_ns = transform_from_msg(msg), ns_of(msg)
         edge = self._edges.get(msg.child_frame_id)
-        if edge is None or edge.parent != msg.header.frame_id:
-            edge = self._edges[msg.child_frame_id] = _Edge(msg.header.frame_id, is_static)
+        if edge is None or edge.is_static != is_static:
+            edge = self._edges[msg.child_frame_id] = _Edge(is_static)
         index = len(edge.stamps_ns) if is_static else bisect_left(edge.stamps_ns, stamp_ns)
         edge.stamps_ns.insert(index, stamp_ns)
+        edge.parents.insert(index, msg.header.frame_id)
         edge.transforms.insert(index, transform)
 
     def lookup_transform(self, target_frame: str, source_frame: str, time: Any,
@@ -93,10 +101,12 @@ class TransformBuffer:
             The frames are not connected at that time.
 
         """
-        above_source, above_target = self._ancestors(source_frame), self._ancestors(target_frame)
+        above_source, above_target = (self._ancestors(frame, time.nanoseconds)
+                                      for frame in (source_frame, target_frame))
         common = next((frame for frame in above_target if frame in above_source), None)
         if common is None:
-            frames = sorted({*self._edges, *(edge.parent for edge in self._edges.values())})
+            frames = sorted({*self._edges, *(parent for edge in self._edges.values()
+                                             for parent in edge.parents)})
             raise TransformError(f'the frames are not connected; there are {", ".join(frames)}')
 
         def into_common(path: list[str]) -> RigidTransform:
@@ -108,11 +118,12 @@ class TransformBuffer:
         transform = into_common(above_target).inverse().after(into_common(above_source))
         return _to_msg(target_frame, source_frame, time, transform)
 
-    def _ancestors(self, frame: str) -> list[str]:
-        """Return a frame, its parent, and so on; it ends where a cycle begins anew."""
+    def _ancestors(self, frame: str, stamp_ns: int) -> list[str]:
+        """Return a frame, its parent at a time, and so on; it ends where a cycle begins anew."""
         path = [frame]
-        while (edge := self._edges.get(path[-1])) is not None and edge.parent not in path:
-            path.append(edge.parent)
+        while (edge := self._edges.get(path[-1])) is not None and (
+                parent := edge.parent_at(stamp_ns)) not in path:
+            path.append(parent)
         return path
 
 

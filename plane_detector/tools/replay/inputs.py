@@ -7,7 +7,7 @@ in the order in which they are complete, their copies, and its transforms.
 
 from __future__ import annotations
 
-from collections import OrderedDict
+from collections import OrderedDict, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import astuple, dataclass, replace
 from typing import Any, NamedTuple
@@ -359,35 +359,59 @@ def _all_frames(bag: BagReader, topics: InputTopics, times_ns: tuple[int, int],
     yield from ((time_ns, frame) for frame in synchronizer.finish())
 
 
-def read_transforms(bag: BagReader, settings: NodeConfig) -> FrameTransforms | None:
-    """
-    Return all transforms of a bag; None if the settings need none.
+def transform_topics(bag: BagReader) -> list[str]:
+    """Return the topics of transforms that have messages."""
+    return [topic.name for topic in bag.topics
+            if topic.msg_type in _TRANSFORM_TYPES and topic.count]
 
-    All are read before the first image, because they may be recorded after the image they precede.
+
+def read_transforms(bag: BagReader, settings: NodeConfig, topics: InputTopics
+                    ) -> FrameTransforms | None:
+    """
+    Return all transforms of a bag that the settings need; None if they need none.
+
+    All are read before the first image, because they may be recorded after the image they precede:
+    twice, since a robot has thirty joints and only the way from the camera to the robot is kept.
     Damaged messages and invalid transforms are skipped and counted in ``bag.damaged``. BagError is
     raised if there are none but the settings name a frame; an IMU may do without.
     """
     is_required = settings.base_frame or settings.target_frame
     if not (is_required or settings.use_imu):
         return None
-    topics = [topic.name for topic in bag.topics
-              if topic.msg_type in _TRANSFORM_TYPES and topic.count]
-    if not topics and not is_required:
+    names = transform_topics(bag)
+    if not names and not is_required:
         return None
-    if not topics:
+    if not names:
         raise BagError('base_frame and target_frame need transforms, tf2_msgs/msg/TFMessage on '
                        f'/tf and /tf_static. {bag.describe()}')
+    parents, damaged = defaultdict(set), bag.damaged
+    for transform, _ in _transforms(bag, names):
+        parents[transform.child_frame_id].add(transform.header.frame_id)
+    bag.damaged = damaged  # the second pass counts them again
+    above = [settings.base_frame, settings.target_frame, *(
+        _first(bag, name).header.frame_id for name in (topics.image, topics.imu) if name)]
+    needed: set[str] = set()
+    while above:
+        if (frame := above.pop()) not in needed:
+            needed.add(frame)
+            above += parents[frame]
     buffer = TransformBuffer()
+    for transform, is_static in _transforms(bag, names):
+        try:
+            if transform.child_frame_id in needed:
+                buffer.add(transform, is_static)
+        except ValueError:  # recorders keep them, tf2 ignores them
+            bag.damaged += 1
+    return FrameTransforms(buffer)
+
+
+def _transforms(bag: BagReader, topics: Sequence[str]) -> Iterator[tuple[Any, bool]]:
+    """Yield each transform, and whether it is static; count damaged messages."""
     for recorded in bag.read(topics):
-        is_static = recorded.topic.rpartition('/')[2] == 'tf_static'
         try:
             transforms = bag.plain(recorded).transforms
         except Exception:  # damaged bytes may cause any exception in a parser
             bag.damaged += 1
             continue
         for transform in transforms:
-            try:
-                buffer.add(transform, is_static)
-            except ValueError:  # recorders keep them, tf2 ignores them
-                bag.damaged += 1
-    return FrameTransforms(buffer)
+            yield transform, recorded.topic.rpartition('/')[2] == 'tf_static'

@@ -199,6 +199,10 @@ def _done_before(options: ReplayOptions) -> BagSummary:
             options.source.name, options.fingerprint):
         raise BagError(f'{options.target} was made from {found.get("replay.source", "elsewhere")} '
                        'with other options: remove it, or choose another folder')
+    wanted = filter(None, (options.figures, options.ply, options.table, options.map_file))
+    if missing := [str(path) for path in wanted if not path.exists()]:
+        raise BagError(f'{options.target} was made before, without {", ".join(missing)}: remove '
+                       'it to make it again with them, or choose another folder')
     return BagSummary(options.target.name, DONE_BEFORE, *(
         int(found.get(f'replay.{key}', 0)) for key in _COUNTS),
         depth=found.get('replay.depth', ''))

@@ -45,6 +45,7 @@ from plane_detector.tools.replay.inputs import (
     read_frames,
     read_transforms,
     requested_times,
+    transform_topics,
 )
 from plane_detector.tools.replay.options import NODE_NAME, ReplayOptions
 from plane_detector.tools.replay.writer import BagWriter, Draft, ReplayFiles
@@ -203,7 +204,7 @@ def replay(options: ReplayOptions, quiet: bool = False) -> Tally:
         times_ns = requested_times(bag, topics.image, options)
         network = (None if config.depth.is_measured
                    else _network(config.depth, threading.get_ident()))
-        transforms = read_transforms(bag, options.settings)
+        transforms = read_transforms(bag, options.settings, topics)
         live_map = _map_of(config, options)
         processor = FrameProcessor(PlaneDetector(config, network), options.settings,
                                    topics.image, transforms, live_map)
@@ -219,12 +220,16 @@ def replay(options: ReplayOptions, quiet: bool = False) -> Tally:
         report(f'Depth: {tally.depth}{remedy}')
         load_kernels(config, report)
         with ReplayFiles(options.figures, options.ply, options.table,
-                         bool(config.shapes.wanted)) as files:
+                         bool(config.shapes.wanted), options.map_file) as files:
             with BagWriter(draft.path, options.storage, options.compressed) as writer:
-                names = (*options.outputs, *(MAP_OUTPUTS if live_map else ()))
-                writer.add_outputs({_topic(name): (OUTPUTS | MAP_OUTPUTS)[name].msg_type
-                                    for name in names} | {_DIAGNOSTICS_TOPIC: DiagnosticArray})
-                copied = () if options.copied is None else options.copied or topics.names
+                writer.add_outputs({_topic(name): OUTPUTS[name].msg_type
+                                    for name in options.outputs}
+                                   | {_DIAGNOSTICS_TOPIC: DiagnosticArray})
+                if live_map:
+                    writer.add_outputs({_topic(name): output.msg_type
+                                        for name, output in MAP_OUTPUTS.items()}, are_latched=True)
+                copied = () if options.copied is None else options.copied or (
+                    *topics.names, *(transform_topics(bag) if transforms else ()))
                 writer.add_copies(bag, copied)
                 frames = read_frames(bag, topics, times_ns, synchronizer,
                                      CopiedMessages(writer, copied, topics, options.every))

@@ -22,7 +22,16 @@ import cv2
 import numpy as np
 import yaml
 from rclpy.serialization import serialize_message
-from rosbags.interfaces import Connection, MessageDefinitionFormat
+from rosbags.interfaces import (
+    Connection,
+    MessageDefinitionFormat,
+    Qos,
+    QosDurability,
+    QosHistory,
+    QosLiveliness,
+    QosReliability,
+    QosTime,
+)
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
@@ -40,6 +49,11 @@ STORAGES = {'mcap': StoragePlugin.MCAP, 'sqlite3': StoragePlugin.SQLITE3}
 _COMPRESSIONS = {'mcap': CompressionMode.STORAGE, 'sqlite3': CompressionMode.MESSAGE}
 # What the rows of a table hold, by output.
 _ROWS = {'planes': PLANE_DTYPE, 'shapes': SHAPE_DTYPE}
+_FOREVER = QosTime(9223372036, 854775807)
+# `ros2 bag play` offers what the bag states, and volatile if it states nothing: RViz, which asks
+# for the last message of a latched topic, would never get one.
+_LATCHED = [Qos(QosHistory.KEEP_LAST, 1, QosReliability.RELIABLE, QosDurability.TRANSIENT_LOCAL,
+                _FOREVER, _FOREVER, QosLiveliness.AUTOMATIC, _FOREVER, False)]
 # The last version whose quality of service can be read by rosbag2 before Jazzy.
 _VERSION = 8
 
@@ -124,12 +138,13 @@ class BagWriter:
         for name, value in values.items():
             self._writer.set_custom_data(name, value)
 
-    def add_outputs(self, classes: Mapping[str, Any]) -> None:
+    def add_outputs(self, classes: Mapping[str, Any], are_latched: bool = False) -> None:
         """Announce topics whose messages are of these classes."""
         for topic, message_class in classes.items():
             package, kind = message_class.__module__.split('.')[0], message_class.__name__
             self._connections[topic] = self._writer.add_connection(
-                topic, f'{package}/msg/{kind}', typestore=self._types)
+                topic, f'{package}/msg/{kind}', typestore=self._types,
+                offered_qos_profiles=_LATCHED if are_latched else [])
 
     def add_copies(self, bag: BagReader, topics: tuple[str, ...]) -> None:
         """Announce topics of another bag; raise BagError if there is no such topic or type."""
@@ -164,6 +179,8 @@ class BagWriter:
 
     def _copied(self, bag: BagReader, source: Connection) -> Connection:
         qos = [] if bag.is_ros1 else source.ext.offered_qos_profiles
+        if not qos and source.topic.endswith('/tf_static'):
+            qos = _LATCHED
         if source.msgtype in self._types.fielddefs:
             return self._writer.add_connection(source.topic, source.msgtype,
                                                typestore=self._types, offered_qos_profiles=qos)
@@ -181,11 +198,13 @@ class ReplayFiles:
 
     Folders of figures (.jpg) and clouds are created if needed. The CSV table of all planes of all
     frames, and ``<stem>_shapes.csv`` of all shapes if these are wanted, get their names by
-    :meth:`publish`. OSError is raised at once if a folder or a table cannot be written.
+    :meth:`publish`. OSError is raised at once if a folder, a table or the file of the map, which
+    is written elsewhere, cannot be written.
     """
 
-    def __init__(self, figures: Path | None, ply: Path | None, table: Path | None, shapes: bool):
-        self._figures, self._ply = figures, ply
+    def __init__(self, figures: Path | None, ply: Path | None, table: Path | None, shapes: bool,
+                 map_file: Path | None = None):
+        self._figures, self._ply, self._map_file = figures, ply, map_file
         self._paths = {} if table is None else {'planes': table}
         if table is not None and shapes:
             self._paths['shapes'] = table.with_name(f'{table.stem}_shapes.csv')
@@ -193,9 +212,14 @@ class ReplayFiles:
         self._opened = ExitStack()
 
     def __enter__(self) -> ReplayFiles:
-        for folder in filter(None, (self._figures, self._ply)):
+        # All is checked now: what fails at the end costs hours of work.
+        for path in filter(None, (*self._paths.values(), self._map_file)):
+            if path.is_dir():
+                raise IsADirectoryError(f'{path} is a folder: name a file')
+        beside_map = self._map_file and self._map_file.parent
+        for folder in filter(None, (self._figures, self._ply, beside_map)):
             folder.mkdir(parents=True, exist_ok=True)
-            with NamedTemporaryFile(dir=folder):  # checked now: the first frame comes much later
+            with NamedTemporaryFile(dir=folder):
                 pass
         for name, path in self._paths.items():
             draft = self._opened.enter_context(Draft(path))

@@ -93,13 +93,13 @@ def test_rvl_gives_back_what_was_encoded(seed):
 
 def rvl_data():
     yield 'empty', b'', 'breaks off'
-    yield 'cut', encode_rvl(np.arange(1, 1001, dtype=np.uint16))[:100], 'is not that of 1000'
+    yield 'cut', encode_rvl(np.arange(1, 1001, dtype=np.uint16))[:100], 'breaks off'
     yield 'more pixels', encode_rvl(np.ones(1001, np.uint16)), 'is not that of 1000'
     yield 'no pixels', bytes(400), 'is not that of 1000'
-    yield 'long', bytes(4000), 'is longer than 1000'
+    yield 'no values in a million runs', bytes.fromhex('10101010') * 250_000, 'is not that of 1000'
     yield 'huge run', b'\xff' * 11 + b'\x7f', 'too large'
-    yield 'endless number', b'\xff' * 100, 'breaks off'
-    yield 'negative', bytes.fromhex('00000013'), 'is not that of 1000'
+    yield 'endless number', b'\xff' * 100, 'too large'
+    yield 'no depth', bytes.fromhex('00000013'), 'not in 1 to 65535'
 
 
 @pytest.mark.parametrize('data, reason', [

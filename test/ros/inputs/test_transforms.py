@@ -74,6 +74,21 @@ def test_a_frame_with_another_parent_leaves_the_one_before():
         looked_up(buffer, 'odom', 'base_footprint')
 
 
+def test_a_frame_that_gets_another_parent_keeps_the_times_before():
+    """A mug on a table, lifted by a gripper at 2 s."""
+    buffer = TransformBuffer()
+    for stamp_s in (1.0, 3.0):
+        buffer.add(transform_msg('world', 'table', (5.0, 0.0, 0.0), stamp_s=stamp_s))
+        buffer.add(transform_msg('world', 'gripper', (0.0, stamp_s, 0.0), stamp_s=stamp_s))
+    for stamp_s in (1.0, 1.5):
+        buffer.add(transform_msg('table', 'mug', (0.0, 0.0, 0.7), stamp_s=stamp_s))
+    for stamp_s in (2.0, 3.0):
+        buffer.add(transform_msg('gripper', 'mug', (0.0, 0.0, -0.1), stamp_s=stamp_s))
+    for stamp_s, expected_m in ((1.25, (5, 0, 0.7)), (1.75, (5, 0, 0.7)), (2.5, (0, 2.5, -0.1))):
+        found = looked_up(buffer, 'world', 'mug', stamp_s)
+        np.testing.assert_allclose(found.translation_m, expected_m, atol=1e-9)
+
+
 def test_gravity_and_height_of_the_camera():
     transforms = FrameTransforms(robot_buffer(height_m=0.9))
     pose = transforms.camera_pose(header(1.5), NodeConfig(base_frame='base_footprint'))

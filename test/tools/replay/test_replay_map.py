@@ -11,12 +11,15 @@ from bags import messages_of, read_bag, write_bag
 from node_helpers import send, start
 from replay_helpers import CAMERA, camera_messages, stamp_s, tf_message, time_ns
 from ros_helpers import FRAME_ID, cloud_array, transform_msg
+from rosbags.interfaces import QosDurability
+from rosbags.rosbag2 import Reader
 from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
 
 from plane_detector.evaluation.scenes.walks import walk, with_errors
 from plane_detector.ros.inputs.transforms import FrameTransforms, TransformBuffer
+from plane_detector.tools.replay.__main__ import main
 
 IMAGES = 8
 WITH_MAP = '-p', 'target_frame:=odom'
@@ -115,6 +118,61 @@ def test_a_file_that_does_not_fit_ends_the_replay_with_the_reason(recorded, repl
     code, _, text = replay(bag, '--map', str(file))
     assert code == 1
     assert 'map.enabled needs target_frame' in text
+
+
+def test_a_viewer_that_comes_late_gets_the_map_and_the_copied_transforms(recorded, replay):
+    """`ros2 bag play` offers the durability that the bag states; RViz asks for Transient Local."""
+    bag, *_ = recorded
+    code, target, text = replay(bag, *WITH_MAP, '-p', 'map.enabled:=true', '--copy',
+                                '--duration', '0.15')
+    assert code == 0, text
+    with Reader(target) as reader:
+        durability = {one.topic: [qos.durability for qos in one.ext.offered_qos_profiles]
+                      for one in reader.connections}
+    for name in ('planes', 'boundaries', 'markers'):
+        assert durability[f'/plane_detector/map/{name}'] == [QosDurability.TRANSIENT_LOCAL]
+    assert QosDurability.TRANSIENT_LOCAL not in durability['/plane_detector/planes']
+    assert len(read_bag(target)['/tf']) == 2, 'those of the images in the first .15 s'
+
+
+def test_what_cannot_be_written_is_refused_before_the_first_frame(
+        recorded, replay, tmp_path, monkeypatch):
+    bag, *_ = recorded
+    monkeypatch.setattr('plane_detector.tools.replay.replay_bag._process', pytest.fail)
+    (tmp_path / 'folder').mkdir()
+    (tmp_path / 'file').touch()
+    for option, path, reason in (
+            ('--map', 'folder', 'folder is a folder: name a file'),
+            ('--csv', 'folder', 'folder is a folder: name a file'),
+            ('--map', 'file/map.json', 'file'), ('--csv', 'file/planes.csv', 'file')):
+        code, target, text = replay(bag, *WITH_MAP, option, str(tmp_path / path))
+        assert code == 1
+        assert reason in text
+        assert not target.exists()
+
+
+def test_the_folder_of_the_map_is_made(recorded, replay, tmp_path):
+    bag, *_ = recorded
+    file = tmp_path / 'no' / 'folder' / 'map.json'
+    code, _, text = replay(bag, *WITH_MAP, '--duration', '0.15', '--map', str(file))
+    assert code == 0, text
+    assert json.loads(file.read_text())['planes']
+
+
+def test_many_bags_have_a_map_each_and_a_map_that_is_missing_is_said(
+        recorded, replay, tmp_path, capsys):
+    bag, *_ = recorded
+    shutil.copytree(bag, tmp_path / 'other')
+    words = [str(bag), str(tmp_path / 'other'), '--output-folder', str(tmp_path / 'out'),
+             '--duration', '0.15', '--jobs', '1', *WITH_MAP, '--map']
+    assert main([*words, str(tmp_path / 'maps')]) == 0, capsys.readouterr()
+    for name in ('walk', 'other'):
+        assert json.loads((tmp_path / 'maps' / f'{name}.json').read_text())['planes']
+    assert main([*words, str(tmp_path / 'maps')]) == 0
+    assert '2 done before' in capsys.readouterr().out
+    assert main([*words, str(tmp_path / 'elsewhere')]) == 1
+    summary = (tmp_path / 'out' / 'summary.csv').read_text()
+    assert f'was made before, without {tmp_path / "elsewhere" / "walk.json"}' in summary
 
 
 def test_without_a_map_there_are_no_topics_of_it(recorded, replay):

@@ -51,12 +51,13 @@ def test_base_frame_gives_the_floor(bag_with_tf, replay):
 
 
 def test_broken_transforms_are_skipped_and_counted(tmp_path, scenes, replay):
-    """A frame that nobody needs, with a quaternion of zeros or NaN, does not end the replay."""
+    """Of the camera, not of a gripper that nobody needs: neither ends the replay."""
     broken = [b'\0\1\0\0\7']
-    for name, value in (('w', 0.0), ('x', np.nan)):
-        msg = tf_message('base_link', 'gripper', np.zeros(3), np.zeros(4), time_ns(0))
-        setattr(msg.transforms[0].transform.rotation, name, value)
-        broken.append(msg)
+    for frame in (FRAME_ID, 'gripper'):
+        for name, value in (('w', 0.0), ('x', np.nan)):
+            msg = tf_message('base_link', frame, np.zeros(3), np.zeros(4), time_ns(0))
+            setattr(msg.transforms[0].transform.rotation, name, value)
+            broken.append(msg)
     code, target, text = replay(write_bag_with_tf(tmp_path, scenes[:1], broken), '-p',
                                 'base_frame:=base_link')
     assert code == 3, text
