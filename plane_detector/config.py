@@ -238,6 +238,19 @@ class GroundConfig(Settings, section='ground'):
 
 
 @dataclass(frozen=True)
+class GridConfig(Settings, section='grid'):
+    """Ground, obstacles and drops of an image from above."""
+
+    resolution: float = setting(0.05, 'side of a cell', 'm', 0.01, 1.0)
+    size: float = setting(
+        10.0, 'sides of the grid, around the origin of base_frame or the point below the camera',
+        'm', 0.5, 100.0)
+    max_height: float = setting(
+        2.0, 'what is higher above the ground is no obstacle, as the robot passes below', 'm',
+        0.1, 100.0)
+
+
+@dataclass(frozen=True)
 class MapConfig(Settings, section='map'):
     """One lasting plane for one surface, from the planes of all images and the poses of TF."""
 
@@ -319,6 +332,7 @@ class Config(Settings):
     tracking: TrackingConfig = field(default_factory=TrackingConfig)
     shapes: ShapesConfig = field(default_factory=ShapesConfig)
     ground: GroundConfig = field(default_factory=GroundConfig)
+    grid: GridConfig = field(default_factory=GridConfig)
     map: MapConfig = field(default_factory=MapConfig)
     paper: PaperConfig = field(default_factory=PaperConfig)
 

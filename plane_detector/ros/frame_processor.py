@@ -98,7 +98,8 @@ class FrameProcessor:
             found = self.detector.find_planes(seen, around, pose and pose.height_m)
             result = DetectedFrame(
                 found, seen.intrinsics, to_target, seen.stamp_s, header=frame.image.header,
-                rgb=seen.rgb, settings=settings, pose_problem=problem,
+                rgb=seen.rgb, settings=settings, config=seen.config,
+                to_base=pose and pose.to_base, pose_problem=problem,
                 distortion=converted.distortion, timer=timer)
             if self.map is None:
                 return result

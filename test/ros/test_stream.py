@@ -13,6 +13,7 @@ from std_srvs.srv import Trigger
 
 from plane_detector.config import Config, NodeConfig
 from plane_detector.depth.observation import DepthFunction
+from plane_detector.geometry.rigid_transform import RigidTransform
 from plane_detector.pipeline import PlaneDetector
 from plane_detector.ros.frame_processor import measured_gravity
 from plane_detector.ros.inputs.synchronizer import Frame
@@ -93,13 +94,20 @@ def test_the_node_publishes_what_the_detector_finds(robot):
         assert is_new == (stamp_s in (10.0, 10.45, *STARTS_ANEW)), stamp_s
 
 
+def camera_pose(gravity):
+    """Return the pose of a camera a metre above the base, with this direction of gravity."""
+    side = np.roll(np.abs(gravity), 1)
+    return CameraPose(RigidTransform(
+        np.stack([np.cross(side, -gravity), side, -gravity]), np.array([0.0, 0.0, 1.0])))
+
+
 @pytest.mark.parametrize('imu, pose, expected', [
     ((0.0, 1.0, 0.0), (0.0, 0.0, 1.0), ((0.0, 1.0, 0.0), 'imu')),
     (None, (0.0, 0.0, 1.0), ((0.0, 0.0, 1.0), 'tf')),
     ((0.0, 1.0, 0.0), None, ((0.0, 1.0, 0.0), 'imu'))])
 def test_the_imu_comes_before_tf_which_cannot_see_a_slope(imu, pose, expected):
     frame = Frame(None, None, None, None if imu is None else np.array(imu), 0)
-    direction, source = measured_gravity(frame, pose and CameraPose(np.array(pose), 1.0))
+    direction, source = measured_gravity(frame, pose and camera_pose(np.array(pose)))
     assert (tuple(direction), source) == expected
     detector = PlaneDetector(Config(), network())
     found = detector.find_directions(

@@ -167,10 +167,20 @@ class Buffer(Protocol):
 
 @dataclass(frozen=True)
 class CameraPose:
-    """Direction of gravity (3,) in the optical frame, and height above the base frame's origin."""
+    """The place of the camera in the base frame, z up, whose origin is on the floor (REP-103)."""
 
-    gravity_camera: np.ndarray
-    height_m: float | None  # None below it
+    to_base: RigidTransform
+
+    @property
+    def gravity_camera(self) -> np.ndarray:
+        """Direction of gravity in the optical frame, (3,)."""
+        return -self.to_base.rotation[2]
+
+    @property
+    def height_m(self) -> float | None:
+        """Height above the origin; None below it."""
+        height_m = float(self.to_base.translation_m[2])
+        return height_m if height_m > 0 else None
 
 
 class FrameTransforms:
@@ -245,9 +255,7 @@ class FrameTransforms:
         """Return the pose of the camera relative to ``base_frame``; None if none is named."""
         if not settings.base_frame:
             return None
-        to_base = self._lookup(settings.base_frame, header, timeout_s)
-        height_m = float(to_base.translation_m[2])  # z of the base frame is up (REP-103)
-        return CameraPose(-to_base.rotation[2], height_m if height_m > 0 else None)
+        return CameraPose(self._lookup(settings.base_frame, header, timeout_s))
 
     def to_target(self, header: Header, settings: NodeConfig, timeout_s: float = 0.0
                   ) -> RigidTransform | None:

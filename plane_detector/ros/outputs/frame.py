@@ -11,8 +11,9 @@ from functools import cached_property
 import numpy as np
 from std_msgs.msg import Header
 
-from plane_detector.config import NodeConfig
+from plane_detector.config import Config, NodeConfig
 from plane_detector.drawing import LabelPlace, colours_by_label, label_places, overlay
+from plane_detector.geometry.rigid_transform import RigidTransform
 from plane_detector.mapping.plane_map import MapSnapshot
 from plane_detector.planes.outline import PlacedDetection
 from plane_detector.ros.calibration import NO_DISTORTION, Distortion
@@ -39,6 +40,8 @@ class DetectedFrame(PlacedDetection):
     header: Header  # of the image message
     rgb: np.ndarray  # (H, W, 3) uint8, rectified
     settings: NodeConfig  # for this frame
+    config: Config = field(default_factory=Config)  # of its detection
+    to_base: RigidTransform | None = None  # into ``base_frame``; None if none is named
     pose_problem: str = ''  # why the pose in ``target_frame`` is not known; empty if it is
     distortion: Distortion = NO_DISTORTION  # that the image still has
     timer: StageTimer = field(default_factory=StageTimer)  # of the stages on this frame

@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 from geometry_msgs.msg import PoseArray
+from nav_msgs.msg import OccupancyGrid
 from rclpy.lifecycle import LifecycleNode
 from rclpy.qos import QoSCompatibility, qos_check_compatible
 from rclpy.topic_endpoint_info import TopicEndpointInfo
@@ -33,6 +34,7 @@ from plane_detector.ros.outputs.clouds import (
 )
 from plane_detector.ros.outputs.detections import Detection3DArray, detections_to_msg
 from plane_detector.ros.outputs.frame import DetectedFrame, MapView
+from plane_detector.ros.outputs.grid import grid_to_msg
 from plane_detector.ros.outputs.map_messages import (
     map_boundaries_to_msg,
     map_markers_to_msg,
@@ -66,6 +68,7 @@ OUTPUTS: dict[str, Output] = {
     'points_without_floor': Output(PointCloud2, points_without_floor_to_msg),
     'ground': Output(PointCloud2, ground_to_msg),
     'drops': Output(PointCloud2, drops_to_msg),
+    'grid': Output(OccupancyGrid, grid_to_msg, is_placed=False),
     'planes': Output(PointCloud2, planes_to_msg),
     'boundaries': Output(PointCloud2, boundaries_to_msg),
     'planes_json': Output(String, lambda frame: String(data=frame_to_json(frame))),

@@ -9,10 +9,12 @@ import cv2
 import numpy as np
 import output_scene as scene
 import pytest
-from ros_helpers import cloud_array, header, image_array
+from ros_helpers import FRAME_ID, cloud_array, header, image_array
 from scipy.spatial.transform import Rotation
 
 from plane_detector.drawing import label_colours, plane_colours
+from plane_detector.geometry.rigid_transform import RigidTransform
+from plane_detector.ros.outputs.grid import grid_to_msg
 from plane_detector.ros.outputs.messages import read_cloud
 from plane_detector.ros.outputs.topics import OUTPUTS
 from plane_detector.types import (
@@ -116,6 +118,37 @@ def test_ground_and_drops(to_target):
     np.testing.assert_allclose(xyz(table), moved(scene.detection().drops_m, to_target), atol=1e-6)
     np.testing.assert_array_equal(table['drop'], np.float32([0.25, np.nan]))
     assert make('drops', found=scene.detection(drop_note='why')) is None
+
+
+def test_the_grid_is_level_below_the_camera_or_in_the_base_frame():
+    """A floor .6 m below a level camera, before a wall and a pole."""
+    gravity = np.array([0.0, 1.0, 0.0])
+    pixels = scene.detection().ground_pixels
+    found = scene.detection(gravity_camera=gravity, camera_height_m=0.6, ground_pixels=replace(
+        pixels, heights_m=np.where(pixels.obstacles, np.float32(0.5), np.float32(0))))
+    msg = make('grid', found=found)
+    cells = np.reshape(msg.data, (msg.info.height, msg.info.width))
+    assert msg.header.frame_id == FRAME_ID and msg.info.resolution == pytest.approx(0.05)
+    assert msg.info.width * msg.info.resolution == pytest.approx(10.0)
+    place, turn = msg.info.origin.position, msg.info.origin.orientation
+    corner = RigidTransform.from_quaternion((turn.x, turn.y, turn.z, turn.w),
+                                            (place.x, place.y, place.z))
+    all_m, labels = scene.points(), scene.depth_and_labels()[1]
+    for kind, value in ((scene.FLOOR, 0), (scene.BALL, 100)):
+        of_kind = corner.inverse().points(all_m[(labels == kind) & (all_m[..., 2] < 4.5)])
+        if kind == scene.FLOOR:
+            np.testing.assert_allclose(of_kind[:, 2], 0, atol=1e-5)
+        column, row = (of_kind[:, :2] / 0.05).astype(int).T
+        assert (cells[row, column] == value).mean() > 0.8
+    base = RigidTransform(np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]), np.array([0.3, 0, 0.6]))
+    of_base = grid_to_msg(replace(scene.frame(found), to_base=base, settings=replace(
+        scene.frame(found).settings, base_frame='base_footprint')))
+    assert of_base.header.frame_id == 'base_footprint'
+    assert (of_base.info.origin.position.x, of_base.info.origin.orientation.w) == (-5.0, 1.0)
+    shifted = np.reshape(of_base.data, cells.shape)[:, 6:]  # the base is .3 m behind the camera
+    np.testing.assert_array_equal(shifted, cells[:, :-6])
+    assert make('grid', found=replace(found, drop_note='why')) is None
+    assert make('grid', found=replace(found, ground_pixels=GroundPixels(GroundLack.UNIT))) is None
 
 
 @BOTH_FRAMES

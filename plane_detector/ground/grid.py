@@ -1,0 +1,140 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Ground, obstacles and drops of one image from above: free, occupied or unknown, in square cells.
+
+A cell is occupied if an obstacle or the edge of a drop is in it, free if ground was seen in it and
+nothing of these, and unknown otherwise.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from plane_detector.compilation import kernel
+from plane_detector.config import GridConfig, GroundConfig
+from plane_detector.geometry.projection import pixel_rays
+from plane_detector.geometry.rigid_transform import RigidTransform
+from plane_detector.types import CameraIntrinsics, Detection
+
+UNKNOWN, FREE, OCCUPIED = -1, 0, 100
+"""Values of the cells, those of nav_msgs/OccupancyGrid."""
+
+
+def level_frame(gravity_camera: np.ndarray, height_m: float) -> RigidTransform:
+    """
+    Return the transform from the camera to the level frame under it.
+
+    Its origin is on the ground below the camera, z points up, and x where the camera looks; where
+    it looks down or up, along the upper side of the image or the lower one.
+
+    Parameters
+    ----------
+    gravity_camera : (3,) floating
+        Unit vector down.
+    height_m : float
+        Of the camera above the ground; NaN: the origin is at the camera.
+
+    Examples
+    --------
+    >>> level_frame(np.array([0.0, 1.0, 0.0]), 1.5).points(np.array([0.5, 1.5, 4.0])).tolist()
+    [4.0, -0.5, 0.0]
+
+    """
+    up = -np.asarray(gravity_camera, float)
+    # Of a camera that looks down, the upper side of the image is ahead; of one that looks up, the
+    # lower one.
+    ahead = np.array([0.0, np.sign(up[2]), 1.0 - abs(up[2])])
+    x = ahead - (ahead @ up) * up
+    x /= np.linalg.norm(x)
+    return RigidTransform(np.stack([x, np.cross(up, x), up]),
+                          np.array([0.0, 0.0, 0.0 if np.isnan(height_m) else height_m]))
+
+
+def occupancy_grid(found: Detection, intrinsics: CameraIntrinsics, to_level: RigidTransform,
+                   ground: GroundConfig, grid: GridConfig) -> np.ndarray:
+    """
+    Return the cells around the origin of a level frame.
+
+    Parameters
+    ----------
+    found : Detection
+        Its ground must be known.
+    intrinsics : CameraIntrinsics
+    to_level : RigidTransform
+        From the camera into a frame whose z points up.
+    ground : GroundConfig
+        Its least drop and steepest slope say how far apart two pixels may be for the ground
+        between them to be seen.
+    grid : GridConfig
+
+    Returns
+    -------
+    (N, N) int8
+        UNKNOWN, FREE or OCCUPIED. Row and column 0 are at -size / 2, rows follow y.
+
+    """
+    count = max(round(grid.size / grid.resolution), 1)
+    cells = np.full((count, count), UNKNOWN, np.int8)
+    ray_x, ray_y = pixel_rays(intrinsics)
+    moved = np.column_stack([to_level.rotation, to_level.translation_m])
+    pixels = found.ground_pixels
+    # Across a smaller gap no drop of `min_drop` is less steep than `max_slope`.
+    gap_m = ground.min_drop / np.tan(np.radians(max(ground.max_slope, 1.0)))
+    _mark(found.depth_m, ray_x, ray_y, moved, pixels.mask, pixels.obstacles, pixels.heights_m,
+          np.array([grid.resolution, grid.max_height, gap_m, ground.min_drop]), cells)
+    edges = np.floor(to_level.points(pixels.drops_m)[:, :2] / grid.resolution + count / 2)
+    for row, column in np.unique(edges[:, ::-1].astype(int), axis=0):
+        # With its neighbours, so that no gap is left between two points of an edge.
+        cells[max(row - 1, 0):max(row + 2, 0), max(column - 1, 0):max(column + 2, 0)] = OCCUPIED
+    return cells
+
+
+_MASK, _FLOATS = "Array(boolean, 2, 'C', readonly=True)", "Array(float32, 2, 'C', readonly=True)"
+
+
+@kernel('UniTuple(float64, 3)(float64[:, ::1], float64, float64, float64)',
+        subject='ground_pixels')
+def _place(moved, z, x, y):
+    """Return the point of a pixel in the level frame."""
+    return ((moved[0, 0] * x + moved[0, 1] * y + moved[0, 2]) * z + moved[0, 3],
+            (moved[1, 0] * x + moved[1, 1] * y + moved[1, 2]) * z + moved[1, 3],
+            (moved[2, 0] * x + moved[2, 1] * y + moved[2, 2]) * z + moved[2, 3])
+
+
+@kernel(f'void({_FLOATS}, float32[::1], float32[::1], float64[:, ::1], {_MASK}, {_MASK}, '
+        f'{_FLOATS}, float64[::1], int8[:, ::1])', subject='ground_pixels')
+def _mark(depth_m, ray_x, ray_y, moved, is_ground, is_obstacle, heights_m, limits, cells):
+    """Mark the cells of ground and, over it, those of obstacles."""
+    resolution_m, max_height_m, gap_m, step_m = limits
+    middle, count = cells.shape[0] / 2, cells.shape[0]
+    for v in range(depth_m.shape[0]):
+        for u in range(depth_m.shape[1]):
+            if not is_ground[v, u]:
+                continue
+            x, y, z = _place(moved, depth_m[v, u], ray_x[u], ray_y[v])
+            # Far away, rows of pixels are wider apart than cells: the ground goes on between two
+            # pixels that are beside each other, unless a drop might be between them.
+            for side in range(2):
+                h, w = v + (side == 0), u + (side == 1)
+                if h == depth_m.shape[0] or w == depth_m.shape[1] or not is_ground[h, w]:
+                    h, w = v, u
+                p, q, r = _place(moved, depth_m[h, w], ray_x[w], ray_y[h])
+                length_m = np.hypot(p - x, q - y)
+                steps = 1
+                if length_m <= gap_m and abs(r - z) < step_m:
+                    steps += int(length_m / resolution_m * 2)
+                for step in range(steps):
+                    share = step / steps
+                    row = int(np.floor((y + share * (q - y)) / resolution_m + middle))
+                    column = int(np.floor((x + share * (p - x)) / resolution_m + middle))
+                    if 0 <= row < count and 0 <= column < count:
+                        cells[row, column] = FREE
+    for v in range(depth_m.shape[0]):
+        for u in range(depth_m.shape[1]):
+            if is_obstacle[v, u] and not heights_m[v, u] > max_height_m:
+                x, y, z = _place(moved, depth_m[v, u], ray_x[u], ray_y[v])
+                row = int(np.floor(y / resolution_m + middle))
+                column = int(np.floor(x / resolution_m + middle))
+                if 0 <= row < count and 0 <= column < count:
+                    cells[row, column] = OCCUPIED
