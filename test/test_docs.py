@@ -154,15 +154,6 @@ def test_parameters_that_are_named_exist():
                 assert name in known, f'{page.name}: {name}'
 
 
-@pytest.mark.parametrize('page', [README, ROOT / 'docs' / 'topics.md'], ids=lambda page: page.name)
-def test_every_output_of_the_node_is_in_the_tables(page):
-    from plane_detector.ros.outputs.topics import OUTPUTS
-    for name, output in OUTPUTS.items():
-        rows = [line for line in text_of(page).splitlines() if line.startswith(f'| `~/{name}` |')]
-        assert len(rows) == 1, name
-        assert output.msg_type.__name__ in rows[0]
-
-
 def rows_of(text: str, method: str) -> list[list[str]]:
     """Return the cells of all rows of tables that begin with a method."""
     return [[cell.strip() for cell in line.strip().strip('|').split('|')][1:]
@@ -179,10 +170,3 @@ def test_results_in_the_readme_are_those_of_the_page(method):
     covering = [[cell.split(' / ')[0] for cell in row[1:]] for row in tables]
     shown, = rows_of(text_of(README), method)
     assert shown == [cell for row in covering for cell in (row[0], row[2], row[4], row[5])]
-
-
-def test_every_field_of_planes_and_shapes_is_in_the_tables():
-    from plane_detector.ros.outputs.clouds import CORNER_DTYPE, PLANE_DTYPE, SHAPE_DTYPE
-    text = text_of(ROOT / 'docs' / 'topics.md')
-    for field in (*PLANE_DTYPE.names, *SHAPE_DTYPE.names, *CORNER_DTYPE.names):
-        assert re.search(rf'^\|[^|]*`{field}`', text, re.MULTILINE), field
