@@ -12,13 +12,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from plane_detector import CameraIntrinsics, Config, PlaneDetector, segment_planes
+from plane_detector import CameraIntrinsics, Config, PlaneDetector, pipeline, segment_planes
 from plane_detector.config import DepthConfig, DirectionsConfig, ScaleConfig
 from plane_detector.depth.observation import DepthFunction
 from plane_detector.evaluation.metrics import angle_deg, overlap
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.evaluation.scenes.rendering import camera_rotation, rectangle, render
 from plane_detector.evaluation.scenes.rooms import box, random_room
+from plane_detector.evaluation.scenes.textures import textured
 from plane_detector.geometry.rigid_transform import RigidTransform
 from plane_detector.segmentation.cells.grid import DisparityImage, build_cell_grid
 from plane_detector.segmentation.cells.model import MEAN_WEIGHT, weigh_cells
@@ -29,6 +30,7 @@ from plane_detector.types import Plane, Planes
 
 LARGE = CameraIntrinsics(525.0, 560.0, 300.0, 250.0, 640, 480)
 ODD = CameraIntrinsics(300.0, 340.0, 170.0, 105.0, 320, 240)
+CENTRED = CameraIntrinsics(262.5, 262.5, 159.5, 119.5, 320, 240)
 NO_LINES = DirectionsConfig(gravity=False, orient_planes=False)
 MEASURED = Config(depth=DepthConfig(source='topic'))
 SIZE_M = np.array([4.0, 5.0, 2.5])
@@ -297,3 +299,27 @@ def test_the_lateral_noise_of_a_cell_averages_out_as_its_pixels_do(lateral_px):
     stated = weigh_cells(grids[0], Noise(0.0, 0.0, 0.0, lateral_px=lateral_px)
                          ).table[:, MEAN_WEIGHT] ** -0.5
     assert np.median(spread / stated) == pytest.approx(1.0, abs=0.15)
+
+
+# 5. The error of the shift.
+
+
+def test_an_uncertain_shift_lets_lines_turn_planes_back(monkeypatch):
+    """Of exact depth whose shift is off by as much as stated: only the lines can tell."""
+    estimate, off_deg = pipeline.estimate_scale, []
+
+    def off(evidence, config):
+        found = estimate(evidence, config)
+        return replace(found, shift=found.shift + 0.02, angle_sigma_deg=4.0)
+    monkeypatch.setattr(pipeline, 'estimate_scale', off)
+    for seed in (300, 301, 303, 306):
+        scene = textured(random_room, seed, CENTRED)
+        relative = ((1 / scene.depth_m + 0.1) / 0.4).astype(np.float32)
+        config = Config(scale=ScaleConfig(
+            camera_height=scene.height_m, gravity=tuple(scene.gravity_camera),
+            gravity_tolerance=3.0))
+        found = PlaneDetector(config, network(relative, 'relative_disparity')).detect(
+            scene.rgb, CENTRED)
+        off_deg.append(np.mean([angle_deg(found.planes[k].normal, scene.planes[i, :3])
+                                for i, k in pairs(scene.labels, found.labels, 0.5)]))
+    assert np.mean(off_deg) < 1.2
