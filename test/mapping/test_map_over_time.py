@@ -79,6 +79,27 @@ def test_a_loaded_map_is_the_map_that_was_saved(tmp_path):
     assert (labels > 0).all()
 
 
+def test_a_map_that_was_cleared_is_a_new_one_but_for_its_labels():
+    used, new = PlaneMap(), PlaneMap()
+    for k, found in enumerate(recording().detections):
+        pose = recording().walked.poses[k]
+        add(used, found, RigidTransform(pose.rotation, pose.translation_m + [0.01 * k, 0, 0]))
+    known = {plane.label for plane in used.planes}
+    used.clear()
+    for k, found in enumerate(recording().detections[:4]):
+        for planes in (used, new):
+            add(planes, found, recording().walked.poses[k])
+    assert (used.jitter_m, used.images) == (new.jitter_m, new.images)
+    assert used.correction.size() == new.correction.size()
+    for one, other in zip(used.planes, new.planes, strict=True):
+        assert one.label > max(known)
+        assert (one.coefficients == other.coefficients).all()
+        assert (one.covariance == other.covariance).all()
+        assert one.first_image == other.first_image
+    first, second = used.snapshot(), new.snapshot()
+    assert (first.planes.covariances == second.planes.covariances).all()
+
+
 def test_an_error_of_the_pose_moves_with_the_camera():
     """A rotation about where the camera was is, where it is now, a rotation and a shift."""
     before, after = np.array([1.0, -2.0, 0.5]), np.array([1.5, -1.2, 1.1])

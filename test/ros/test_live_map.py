@@ -63,6 +63,18 @@ def test_poses_that_jitter_more_than_stated_are_reported(found):
     assert 0.6 < jitter_cm < 2.4
 
 
+def test_a_map_of_poses_that_are_fixed_to_the_camera_asks_whether_they_are(found):
+    """Only if they hardly ever change; and only then."""
+    fixed, driven = Stream(found), Stream(found)
+    for k in range(70):
+        fixed.add((0.3 * (k > 30), 0, 0))
+        driven.add((0.01 * k, 0, 0))
+    for stream, is_asked in ((driven, False), (fixed, True)):
+        if 'corrects the poses' in stream.map.problem():
+            assert ('does odom move with the camera' in stream.map.problem()) == is_asked
+    assert 'corrects the poses' in driven.map.problem()
+
+
 def test_poses_that_run_away_are_reported_with_the_way(found):
     stream = Stream(found)
     for k in range(31):  # a drift of a centimetre an image while the camera stands
@@ -91,7 +103,11 @@ def test_a_click_is_answered_on_a_surface_and_not_in_the_air(found, off_m, is_an
     for _ in range(2):
         stream.add()
     plane = found.planes[0]
-    point_m = POSE.points(plane.centroid_m + off_m * plane.normal)
+    # Poses that have drifted since: the click is in their frame, as the camera is.
+    for k in range(1, 6):
+        stream.add((0.03 * k, -0.04 * k, 0.02 * k))
+    shift_m = np.array([0.15, -0.2, 0.1])
+    point_m = POSE.points(plane.centroid_m + off_m * plane.normal) + shift_m
     if not is_answered:
         with pytest.raises(ValueError, match='there is no plane'):
             stream.map.plane_at(point_m)
@@ -99,4 +115,5 @@ def test_a_click_is_answered_on_a_surface_and_not_in_the_air(found, off_m, is_an
     row, kept = stream.map.plane_at(point_m)
     assert row.normals[0] @ POSE.rotation @ plane.normal > 0.999
     assert row.labels.tolist() == [kept.label]
-    assert kept.centroid_m @ row.normals[0] + row.offsets_m[0] == pytest.approx(0, abs=1e-3)
+    assert (POSE.points(plane.centroid_m) + shift_m) @ row.normals[0] + row.offsets_m[0] == (
+        pytest.approx(0, abs=0.03))

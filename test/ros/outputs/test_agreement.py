@@ -24,7 +24,7 @@ from ros_helpers import (
 from scipy.spatial.transform import Rotation
 
 from plane_detector import CameraIntrinsics, Config, PlaneDetector
-from plane_detector.config import DepthConfig, NodeConfig
+from plane_detector.config import DepthConfig, MapConfig, NodeConfig
 from plane_detector.evaluation.scenes.rendering import camera_rotation, render
 from plane_detector.evaluation.scenes.rooms import box
 from plane_detector.geometry.rigid_transform import RigidTransform
@@ -33,6 +33,7 @@ from plane_detector.mapping.plane_map import MapSnapshot
 from plane_detector.ros.frame_processor import FrameProcessor
 from plane_detector.ros.inputs.synchronizer import Frame
 from plane_detector.ros.inputs.transforms import FrameTransforms, TransformBuffer
+from plane_detector.ros.live_map import LiveMap
 from plane_detector.ros.outputs.frame import MapView
 from plane_detector.ros.outputs.map_messages import map_planes_to_msg
 from plane_detector.types import PlaneClass
@@ -48,26 +49,66 @@ def xyz(table, prefix=''):
     return np.stack([table[f'{prefix}{axis}'] for axis in 'xyz'], axis=-1).astype(float)
 
 
-def outputs(**settings):
-    """Return the scene and all messages of its image, placed in the world."""
-    scene = render(box(SIZE_M / 2, SIZE_M) + box(*CRATE), ROTATION, POSITION_M, CAMERA,
-                   np.random.default_rng(0))
+def view(things):
+    return render(box(SIZE_M / 2, SIZE_M) + things, ROTATION, POSITION_M, CAMERA,
+                  np.random.default_rng(0))
+
+
+def new_processor(live_map=None, **settings):
+    """Return a processor of images; the camera stands in the world at all times."""
     buffer = TransformBuffer()
-    buffer.add(transform_msg('world', FRAME_ID, POSITION_M.tolist(),
-                             Rotation.from_matrix(ROTATION).as_quat().tolist(), STAMP_S))
-    processor = FrameProcessor(
+    for stamp_s in (0.0, 100.0):
+        buffer.add(transform_msg('world', FRAME_ID, POSITION_M.tolist(),
+                                 Rotation.from_matrix(ROTATION).as_quat().tolist(), stamp_s))
+    return FrameProcessor(
         PlaneDetector(Config(depth=DepthConfig(source='topic'))),
         NodeConfig(target_frame='world', base_frame='world', **settings), 'image_rect',
-        FrameTransforms(buffer))
-    frame = Frame(image_msg(scene.rgb, 'rgb8', STAMP_S), camera_info_msg(CAMERA, STAMP_S),
-                  image_msg((1000 * scene.depth_m).round().astype('u2'), '16UC1', STAMP_S),
-                  None, 0)
-    return scene, *processor.process(frame)
+        FrameTransforms(buffer), live_map)
+
+
+def frame_of(scene, stamp_s=STAMP_S, epoch=0):
+    return Frame(image_msg(scene.rgb, 'rgb8', stamp_s), camera_info_msg(CAMERA, stamp_s),
+                 image_msg((1000 * scene.depth_m).round().astype('u2'), '16UC1', stamp_s),
+                 None, epoch)
+
+
+def outputs(**settings):
+    """Return the scene and all messages of its image, placed in the world."""
+    scene = view(box(*CRATE))
+    return scene, *new_processor(**settings).process(frame_of(scene))
 
 
 @pytest.fixture(scope='module', params=[{}, {'max_side': 200}], ids=['whole', 'reduced'])
 def made(request):
     return outputs(**request.param)
+
+
+def test_every_message_has_the_stamp_of_the_image_and_its_frame(made):
+    _, _, messages = made
+    in_camera = {'labels', 'depth', 'overlay', 'overlay/compressed', 'camera_info'}
+    for name, msg in messages.items():
+        if name == 'planes_json':
+            continue
+        for part in msg.markers if name == 'markers' else (
+                msg.detections if name == 'detections' else [msg]):
+            assert part.header.stamp == header(STAMP_S).stamp, name
+            assert part.header.frame_id == (FRAME_ID if name in in_camera else 'world'), name
+
+
+def test_the_first_image_after_a_jump_back_gives_the_messages_of_a_new_node():
+    """Byte for byte, labels too; the map stays and is published at once."""
+    rooms, messages, maps = [view(box(*CRATE)), view([])], [], []
+    for seen in ([(0, 50.0, 0), (1, 50.1, 0), (0, 50.2, 0), (1, 9.0, 1)], [(1, 9.0, 0)]):
+        processor = new_processor(LiveMap(MapConfig(), 'world'))
+        for room, stamp_s, epoch in seen:
+            found, last = processor.process(frame_of(rooms[room], stamp_s, epoch))
+        messages.append({name: msg for name, msg in last.items() if not name.startswith('map/')})
+        maps.append(found.map_view)
+    assert messages[0].keys() == messages[1].keys()
+    for name, msg in messages[0].items():
+        assert msg == messages[1][name], name
+    assert all(maps)
+    assert set(maps[0].snapshot.planes.labels) >= set(maps[1].snapshot.planes.labels)
 
 
 def test_points_are_where_the_room_is_and_have_the_label_of_their_plane(made):
