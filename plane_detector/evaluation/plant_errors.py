@@ -357,8 +357,8 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
         ('(msg.row_step, msg.point_step))',
          '(msg.width * msg.point_step, msg.point_step))', 'rows of a cloud without their ends')),
     'ros/inputs/rvl.py': (
-        ('-(changes & 1)', '(changes & 1)', 'sign of a change of depth'),
-        ('np.arange(28, -1, -4', 'np.arange(0, 32, 4', 'nibbles from the lower end')),
+        ('^ -(change & 1)', '^ (change & 1)', 'sign of a change of depth'),
+        ('place = 28 - 4 * (at', 'place = 4 * (at', 'nibbles from the lower end')),
     'ros/inputs/frame_conversion.py': (
         ('_with_size(info, rgb)', 'info',
          'a calibration without a size'),
