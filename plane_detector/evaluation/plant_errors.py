@@ -376,7 +376,7 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
         ('.y_offset) / every_y', '.y_offset) / every_x', 'binning of the other axis')),
     'ros/inputs/transforms.py': (
         ('self._buffer.clear()', 'pass', 'transforms from before a jump back in time'),
-        ('if edge is None or edge.parent != msg.header.frame_id:', 'if edge is None:',
+        ('if edge is None or edge.is_static != is_static:', 'if edge is None:',
          'a frame with two parents'),
         ('-to_base.rotation[2]', '-to_base.rotation[:, 2]', 'gravity in the wrong frame'),),
     'ros/outputs/clouds.py': (
