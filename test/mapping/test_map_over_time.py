@@ -62,7 +62,8 @@ def test_a_loaded_map_is_the_map_that_was_saved(tmp_path):
     before = PlaneMap()
     for k, (found, pose) in enumerate(zip(recording().detections, recording().walked.poses,
                                           strict=True)):
-        add(before, found, pose, 10.0 + k)
+        add(before, found, RigidTransform(pose.rotation, pose.translation_m + [0.01 * k, 0, 0]),
+            10.0 + k)
     before.save(tmp_path / 'map.json', 'odom', 1.0)
     after = PlaneMap()
     after.load(tmp_path / 'map.json', 'odom')
@@ -73,8 +74,13 @@ def test_a_loaded_map_is_the_map_that_was_saved(tmp_path):
         for name in ('origin_m', 'axes', 'coefficients', 'covariance', 'centroid_m'):
             np.testing.assert_allclose(getattr(new, name), getattr(old, name), atol=1e-9)
         assert (new.cells.seen == old.cells.seen).all()
+    off_m = before.correction.transform.translation_m
+    assert np.linalg.norm(off_m) > 0.02, 'the poses have drifted'
+    assert after.correction.transform.translation_m == pytest.approx(off_m, abs=1e-6)
     # What the camera sees next is found in it again.
-    labels = add(after, recording().detections[-1], recording().walked.poses[-1]).labels
+    last = recording().walked.poses[-1]
+    labels = add(after, recording().detections[-1], RigidTransform(
+        last.rotation, last.translation_m + [0.09, 0, 0])).labels
     assert set(labels[labels > 0]) <= {plane.label for plane in before.planes}
     assert (labels > 0).all()
 
