@@ -16,6 +16,8 @@
 VENV ?= .venv
 PYTHON ?=
 RUN := $(VENV)/bin/python
+# The environment in which the core is tested, which needs no ROS.
+CORE ?= $(VENV)
 STAMP := $(VENV)/installed
 
 # Variables of a sourced ROS, or of another environment with ROS wheels, would break this one.
@@ -34,7 +36,7 @@ test: $(STAMP)
 ifdef TESTS
 	@$(RUN) -m pytest $(TESTS)
 else
-	@log=$$(mktemp); $(RUN) -m pytest test --ignore=test/ros --ignore=test/tools > $$log 2>&1 & core=$$!; \
+	@log=$$(mktemp); $(CORE)/bin/python -m pytest test --ignore=test/ros --ignore=test/tools > $$log 2>&1 & core=$$!; \
 	$(RUN) -m pytest test/ros test/tools; code=$$?; \
 	wait $$core || code=$$?; cat $$log; rm -f $$log; exit $$code
 endif

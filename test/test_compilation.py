@@ -125,19 +125,6 @@ def test_without_room_on_the_disk_the_loops_stay_in_memory_and_the_folder_is_nam
     assert str(folder) in warning or '/proc/none' in warning
 
 
-def test_every_global_name_that_a_kernel_uses_is_part_of_the_digest():
-    import plane_detector.pipeline
-    import plane_detector.ros.outputs.topics  # noqa: F401 - these bring the kernels
-    for one in compilation._KERNELS:
-        names = one._function.__globals__
-        for name in one._function.__code__.co_names:
-            value = names.get(name, 0)
-            assert (isinstance(value, (compilation.Kernel, bool, int, float, str, tuple))
-                    or hasattr(value, 'tolist')
-                    or value in (sys.modules['numpy'], sys.modules['math'])), (
-                f'{one.__name__}: {name}')
-
-
 def test_measured_depth_needs_only_kernels_compiled_at_the_start(room, monkeypatch):
     """None that only a network needs, and none that has become part of its only caller."""
     called, call = set(), compilation.Kernel.__call__

@@ -5,50 +5,13 @@
 import importlib
 import importlib.util
 import re
-import shlex
 from dataclasses import fields
-from pathlib import Path
 
 import pytest
+from documents import PAGES, README, ROOT, blocks, commands, text_of, uses
 
-ROOT = Path(__file__).resolve().parents[1]
-README = ROOT / 'README.md'
-PAGES = [README, *sorted((ROOT / 'docs').glob('*.md'))]
 LINES = README.read_text(encoding='utf-8').splitlines()
 MOST_README_LINES = 150
-
-
-def text_of(page: Path) -> str:
-    return page.read_text(encoding='utf-8')
-
-
-def blocks(page: Path, language: str) -> list[str]:
-    return re.findall(rf'```{language}\n(.*?)```', text_of(page), re.DOTALL)
-
-
-def commands() -> list[tuple[str, list[str]]]:
-    """Return page and words of every command: of the shell blocks and of inline code."""
-    found = []
-    for page in PAGES:
-        inline = [code.replace('\n', ' ') for code in
-                  re.findall(r'(?<!`)`([^`]+)`(?!`)', re.sub(r'```.*?```', '', text_of(page),
-                                                             flags=re.DOTALL))]
-        lines = [line for block in blocks(page, 'bash')
-                 for line in block.replace('\\\n', ' ').splitlines()]
-        for line in [*lines, *inline]:
-            for part in re.split(r'\s*(?:&&|;|\|)\s*', line.split(' #')[0]):
-                try:
-                    words = shlex.split(part, comments=True)
-                except ValueError:
-                    continue
-                found += [(page.name, words)] if words else []
-    return found
-
-
-def uses(*start: str) -> list[tuple[str, list[str]]]:
-    """Return page and the words after each command that starts like this."""
-    return [(page, words[k + len(start):]) for page, words in commands()
-            for k in range(len(words)) if tuple(words[k:k + len(start)]) == start]
 
 
 def test_readme_is_short_with_image_and_command_early():
@@ -97,25 +60,6 @@ def test_programs_are_entry_points():
         assert f"f'{program} = " in setup, f'{page}: {program}'
 
 
-@pytest.mark.parametrize('program', ['replay', 'show', 'fetch', 'rviz'])
-def test_options_of_programs_are_in_their_help(program, capsys):
-    """Of each command of the documents: as ros2 run and as python -m start them."""
-    pytest.importorskip('rclpy')
-    entry = re.search(rf"f'{program} = {{NAME}}\.([\w.]+):main'", text_of(ROOT / 'setup.py'))[1]
-    main = importlib.import_module(f'plane_detector.{entry}').main
-    with pytest.raises(SystemExit):
-        main(['--help'])
-    explained = capsys.readouterr().out
-    module = f'plane_detector.{entry}'.removesuffix('.__main__')
-    used = uses('ros2', 'run', 'plane_detector', program) + uses('-m', module)
-    assert used
-    for page, words in used:
-        for option in (word.split('=')[0] for word in words if word.startswith('-')):
-            if option == '--ros-args':
-                break
-            assert re.search(rf'(?<![\w-]){option}(?![\w-])', explained), f'{page}: {option}'
-
-
 def test_modules_that_are_started_exist():
     used = [(page, words[0]) for page, words in uses('-m') if words]
     assert len(used) > 2
@@ -154,15 +98,6 @@ def test_parameters_that_are_named_exist():
                 assert name in known, f'{page.name}: {name}'
 
 
-@pytest.mark.parametrize('page', [README, ROOT / 'docs' / 'topics.md'], ids=lambda page: page.name)
-def test_every_output_of_the_node_is_in_the_tables(page):
-    from plane_detector.ros.outputs.topics import OUTPUTS
-    for name, output in OUTPUTS.items():
-        rows = [line for line in text_of(page).splitlines() if line.startswith(f'| `~/{name}` |')]
-        assert len(rows) == 1, name
-        assert output.msg_type.__name__ in rows[0]
-
-
 def rows_of(text: str, method: str) -> list[list[str]]:
     """Return the cells of all rows of tables that begin with a method."""
     return [[cell.strip() for cell in line.strip().strip('|').split('|')][1:]
@@ -179,10 +114,3 @@ def test_results_in_the_readme_are_those_of_the_page(method):
     covering = [[cell.split(' / ')[0] for cell in row[1:]] for row in tables]
     shown, = rows_of(text_of(README), method)
     assert shown == [cell for row in covering for cell in (row[0], row[2], row[4], row[5])]
-
-
-def test_every_field_of_planes_and_shapes_is_in_the_tables():
-    from plane_detector.ros.outputs.clouds import CORNER_DTYPE, PLANE_DTYPE, SHAPE_DTYPE
-    text = text_of(ROOT / 'docs' / 'topics.md')
-    for field in (*PLANE_DTYPE.names, *SHAPE_DTYPE.names, *CORNER_DTYPE.names):
-        assert re.search(rf'^\|[^|]*`{field}`', text, re.MULTILINE), field

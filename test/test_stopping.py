@@ -165,25 +165,3 @@ def test_an_error_that_quotes_data_cannot_drive_the_terminal(capsys):
     assert run_program('replay', fail) == 1
     assert capsys.readouterr().err == (
         'replay: a bag with a topic called \\x1b[2J\nand more\n')
-
-
-SCRIPT = """
-import os, runpy, signal, sys
-class Interrupting:
-    def find_spec(self, name, path=None, target=None):
-        if name == 'rclpy':
-            os.kill(os.getpid(), signal.SIGINT)
-signal.signal(signal.SIGINT, signal.default_int_handler)
-sys.meta_path.insert(0, Interrupting())
-sys.argv[1:] = []
-runpy.run_module({!r}, run_name='__main__', alter_sys=True)
-"""
-
-
-@pytest.mark.parametrize('module', [
-    'plane_detector.ros.node', 'plane_detector.tools.replay', 'plane_detector.tools.demo',
-    'plane_detector.tools.show'])
-def test_an_interrupt_during_the_imports_ends_the_program_quietly(module):
-    run = subprocess.run([sys.executable, '-c', SCRIPT.format(module)], cwd=ROOT,
-                         capture_output=True, text=True, timeout=600)
-    assert (run.returncode, run.stdout, run.stderr) == (-signal.SIGINT, '', '')

@@ -7,7 +7,6 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-import pytest
 import yaml
 
 from plane_detector.config import Config, NodeConfig
@@ -47,16 +46,6 @@ def test_table_is_as_generated():
     assert page == parameters.with_table(page), 'run `make defaults`'
     for name in DEFAULTS:
         assert page.count(f'| `{name}` |') == 1
-
-
-def test_node_takes_the_yaml_file_as_its_defaults():
-    pytest.importorskip('rclpy')
-    from ros_helpers import bare_node
-
-    from plane_detector.ros.parameters import declare
-    with bare_node('plane_detector', ('--params-file', str(YAML))) as node:
-        assert declare(node, Config()) == Config()
-        assert declare(node, NodeConfig()) == NodeConfig()
 
 
 def test_every_error_can_be_planted():

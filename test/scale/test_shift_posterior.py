@@ -99,8 +99,8 @@ def test_angles_that_are_too_uncertain_are_refused():
     assert 'leave angles uncertain by 6 degrees' in answer.refusal and np.isnan(answer.tau)
 
 
-@pytest.mark.parametrize(('error_deg', 'least_of_shift'), [(1.0, 0.25), (3.0, 0.6), (5.0, 0.6)])
-def test_the_stated_uncertainty_of_angles_and_shift_is_calibrated(error_deg, least_of_shift):
+@pytest.mark.parametrize(('error_deg', 'least'), [(1.0, 0.25), (3.0, 0.6), (5.0, 0.6)])
+def test_the_stated_uncertainty_of_angles_and_shift_is_calibrated(error_deg, least):
     ratios, scores = [], []
     for seed in range(60):
         given = room(np.radians(error_deg), seed)
@@ -109,6 +109,7 @@ def test_the_stated_uncertainty_of_angles_and_shift_is_calibrated(error_deg, lea
             ratios.append(turned_deg(given, answer.tau) / answer.angle_sigma_deg)
             scores.append((answer.tau - TAU) / answer.sigma)
     assert len(ratios) >= 50
-    assert 0.3 < np.sqrt(np.mean(np.square(ratios))) < 1.2
+    # Small errors are covered by those of buildings; else a variance three times too large shows.
+    assert least < np.sqrt(np.mean(np.square(ratios))) < 1.2
     assert np.mean(np.array(ratios) > 2) <= 0.05
-    assert least_of_shift < np.sqrt(np.mean(np.square(scores))) < 1.2
+    assert least < np.sqrt(np.mean(np.square(scores))) < 1.2

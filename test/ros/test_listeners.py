@@ -31,7 +31,7 @@ from plane_detector.ros.outputs.frame import MapView
 from plane_detector.ros.outputs.map_messages import map_planes_to_msg
 from plane_detector.ros.outputs.topics import OUTPUTS
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 EXAMPLES = ROOT / 'docs' / 'examples'
 NAMES = [kind.readable for kind in PlaneClass]
 

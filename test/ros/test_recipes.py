@@ -14,7 +14,7 @@ from plane_detector.ros.outputs.topics import OUTPUTS
 from plane_detector.ros.parameters import declare, updated, warn_of_unknown
 from plane_detector.tools.replay.options import load_settings
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 RECIPES = sorted((ROOT / 'config').glob('recipe_*.yaml'))
 PARAMETER_FILES = [path for path in RECIPES if 'nav2' not in path.name]
 
