@@ -33,6 +33,34 @@ def unit_direction(direction: Sequence[float]) -> np.ndarray | None:
     return vector / length if length > 0 else None
 
 
+def measured_direction(direction: Sequence[float]) -> np.ndarray:
+    """
+    Return a measured direction (3,) with length 1.
+
+    Raises
+    ------
+    ValueError
+        It is not 3 finite numbers, or all of them are 0.
+
+    Examples
+    --------
+    >>> measured_direction([0, 9.81, 0])
+    array([0., 1., 0.])
+    >>> measured_direction([0.0, 0.0, 0.0, 1.0])
+    Traceback (most recent call last):
+    ValueError: gravity_camera must be 3 finite numbers, not all 0: the direction down in the ...
+
+    """
+    try:
+        vector = np.asarray(direction, np.float64)
+    except (TypeError, ValueError):
+        vector = np.zeros(0)
+    if vector.shape != (3,) or not np.isfinite(vector).all() or not vector.any():
+        raise ValueError('gravity_camera must be 3 finite numbers, not all 0: the direction down '
+                         f'in the optical frame, or None if it is not known; not {direction!r}')
+    return unit_direction(vector / abs(vector).max())
+
+
 def gravity_from_acceleration(acceleration: Sequence[float],
                               imu_to_camera: Sequence[float]) -> np.ndarray | None:
     """
