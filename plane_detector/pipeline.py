@@ -19,6 +19,7 @@ import numpy as np
 from plane_detector.compilation import load_once
 from plane_detector.config import Config
 from plane_detector.depth.observation import DepthSource, ModelOrFunction, Observation, make_source
+from plane_detector.depth.ray_distance import kind_note
 from plane_detector.directions.finder import (
     CameraImage,
     DirectionFinder,
@@ -27,7 +28,7 @@ from plane_detector.directions.finder import (
 )
 from plane_detector.directions.gravity_choice import NO_GRAVITY
 from plane_detector.geometry.disparity import UNITLESS, to_disparity
-from plane_detector.geometry.gravity import measured_direction
+from plane_detector.geometry.gravity import measured_direction, sign_question
 from plane_detector.geometry.projection import as_depth, as_image
 from plane_detector.ground.ground import find_ground
 from plane_detector.planes.measurement import measure_planes
@@ -61,6 +62,8 @@ from plane_detector.types import (
 DEFAULTS = Config()
 # Folders of the loops that every image needs.
 LOOPS = ('geometry', 'segmentation', 'planes', 'ground')
+# chosen: the kind of depth is looked at in the images 1, 2, 4, ... and in each so many.
+_KIND_IMAGES = 64
 State = TypeVar('State')
 
 
@@ -75,6 +78,23 @@ class _OfEpoch(Generic[State]):
         if epoch != self._epoch:
             self._epoch, self._state = epoch, self._make()
         return self._state
+
+
+@dataclass
+class _KindNote:
+    """What was found about the kind of measured depth; looked for ever more seldom: 4 ms."""
+
+    images: int = 0
+    text: str = ''
+
+    def of_next(self, depth_m: np.ndarray, intrinsics: CameraIntrinsics, kind: str) -> str:
+        """Return the note for the next image of a stream."""
+        self.images += 1
+        is_power_of_two = not self.images & (self.images - 1)
+        if is_power_of_two or not self.images % _KIND_IMAGES:
+            self.text = kind_note(depth_m, intrinsics, kind) or (
+                '' if self.images % _KIND_IMAGES == 0 else self.text)
+        return self.text
 
 
 @dataclass
@@ -119,6 +139,7 @@ class PlaneDetector:
         self.source: DepthSource = make_source(self.config, depth_model)
         self._epoch = self._depth_epoch = 0
         self._stamp_s = float('nan')
+        self._kinds = _OfEpoch(_KindNote)
         self._directions = _OfEpoch(DirectionFinder)
         self._planes = _OfEpoch(_PlaneState)
 
@@ -191,6 +212,10 @@ class PlaneDetector:
         if epoch != self._depth_epoch:
             self._depth_epoch = epoch
             self.source.reset()
+        notes = [intrinsics.question]
+        if depth_m is not None:
+            notes.append(self._kinds.at(epoch).of_next(depth_m, intrinsics,
+                                                       self.config.depth.kind))
         with timer('depth'):
             seen = self.source.observe(rgb, intrinsics, depth_m, self.config)
             if seen.is_measured:
@@ -198,7 +223,8 @@ class PlaneDetector:
                                                           metric_noise_floor(self.config)))
             if covered is not None:
                 seen = seen.restricted_to(covered)
-        return replace(seen, stamp_s=stamp_s, epoch=epoch, timer=timer)
+        return replace(seen, stamp_s=stamp_s, epoch=epoch, timer=timer,
+                       input_note=_joined(notes))
 
     def find_directions(self, seen: Observation, gravity_camera: np.ndarray | None = None,
                         gravity_source: str = 'measured') -> Surroundings:
@@ -275,10 +301,11 @@ class PlaneDetector:
             labels = planes.labels if not regions.patches.size else fill_patches(
                 planes.labels, regions.patches, planes.planes, depth_m, seen.intrinsics,
                 shape_labels)
+        input_note = _joined([seen.input_note, _sign_note(planes, around, scale)])
         return Detection(planes.planes, labels, planes.disparity_noise,
                          systematic_noise=planes.systematic_noise, depth_m=depth_m,
                          scale_method=scale.unit_method, is_measured=seen.is_measured,
-                         scale_note=str(scale),
+                         scale_note=_joined([str(scale), input_note]), input_note=input_note,
                          scale_event=state.scale.event, shapes=shapes,
                          shape_labels=shape_labels, shape_note=shape_note,
                          gravity_camera=around.gravity.gravity_camera,
@@ -374,6 +401,22 @@ def _with_height(config: Config, camera_height_m: float | None) -> Config:
             None if camera_height_m is None else float(camera_height_m))
     except (TypeError, ValueError) as error:
         raise ValueError(f'camera_height_m {camera_height_m!r} is no height: {error}') from None
+
+
+def _joined(notes: list[str]) -> str:
+    return '; '.join(filter(None, notes))
+
+
+def _sign_note(found: PlaneSegmentation, around: Surroundings, scale: ScaleEstimate) -> str:
+    """Return that measured gravity may point up; empty if nothing tells so."""
+    gravity = around.gravity
+    if gravity.gravity_camera is None or gravity.source in ('image', 'parameter'):
+        return ''
+    if not (scale.is_metric and scale.has_true_angles):
+        return ''
+    planes = found.planes
+    return sign_question(gravity.gravity_camera, planes.normals, planes.offsets_m, planes.counts,
+                         found.labels.size)
 
 
 def _may_reorient(seen: Observation) -> bool:

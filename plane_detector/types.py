@@ -20,6 +20,10 @@ JUMP_S = 1.0
 # the widest fisheye are far inside. Outside, products of coefficients overflow.
 _LEAST_FOCAL_SHARE, _MOST_FOCAL_SHARE, _MOST_CENTRE_SHARE = 0.01, 1000.0, 1000.0
 
+# chosen: of 170 cameras of public sets the principal point is within .05 of the middle; half the
+# size moves it by .25, two thirds by .17. The shares of both sides of another size are equal.
+_MOST_OFF_CENTRE, _SAME_SHARE = 0.12, 1.2
+
 
 @dataclass(frozen=True)
 class CameraIntrinsics:
@@ -87,6 +91,32 @@ class CameraIntrinsics:
     def matrix(self) -> np.ndarray:
         """Camera matrix K, (3, 3) float64."""
         return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1]], float)
+
+    @property
+    def question(self) -> str:
+        """
+        Why this may be the camera of another image, and the remedy; empty if nothing tells so.
+
+        Examples
+        --------
+        >>> CameraIntrinsics(300.0, 300.0, 160.0, 90.0, 640, 360).question
+        'the principal point, (160, 90) px, is at .25 and .25 of the 640 x 360 image, ...'
+
+        """
+        shares = self.cx / self.width, self.cy / self.height
+        if self.is_guessed or max(abs(share - 0.5) for share in shares) <= _MOST_OFF_CENTRE:
+            return ''
+        found = (f'the principal point, ({self.cx:.0f}, {self.cy:.0f}) px, is at '
+                 + ' and '.join(f'{share:.2f}'.replace('0.', '.') for share in shares)
+                 + f' of the {self.width} x {self.height} image, but near the middle of most')
+        if min(shares) > 0 and max(shares) < _SAME_SHARE * min(shares):
+            factor = 1 / sum(shares)
+            return (f'{found}: are fx {self.fx:.0f}, fy, cx and cy those of about a '
+                    f'{self.width / factor:.0f} x {self.height / factor:.0f} image, binned or '
+                    f'resized? Then multiply them by {factor:.2f}, or send the CameraInfo of this '
+                    'image')
+        return (f'{found}: if it is not cropped there, it has the CameraInfo of another image; '
+                'send its own, or calibrate the camera')
 
     @classmethod
     def from_field_of_view(cls, width: int, height: int, horizontal_deg: float,

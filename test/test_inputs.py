@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What users give the pipeline: it works, or a ValueError names it; the same for both calls."""
 
+import re
 import threading
 from dataclasses import replace
 
@@ -14,7 +15,7 @@ from plane_detector import CameraIntrinsics, PlaneDetector, segment_planes
 from plane_detector.config import Config, DepthConfig
 from plane_detector.depth.observation import DepthFunction
 from plane_detector.evaluation.scenes.rooms import random_room
-from plane_detector.geometry.projection import ray_lengths
+from plane_detector.geometry.projection import pixel_rays, ray_lengths
 from plane_detector.process import one_thread
 
 CAMERA = CameraIntrinsics(262.0, 262.0, 159.5, 119.5, 320, 240)
@@ -237,3 +238,46 @@ def test_a_call_uses_one_thread_and_leaves_those_of_the_process(monkeypatch):
             assert seen[-1][0] == 1 and threads() == before
     finally:
         cv2.setNumThreads(before_cv2)
+
+
+FULL = CameraIntrinsics(1200.0, 1200.0, 640.0, 360.0, 1280, 720)
+
+
+@pytest.mark.parametrize(('factor', 'side', 'said'), [
+    (0.5, 1, 'about a 640 x 360 image.* multiply them by 2.00'),
+    (1 / 3, 1, '427 x 240 .* by 3.00'),
+    (2 / 3, 1, '853 x 480 image.* by 1.5'), (1, 0.5, '1280 x 72. image.* by 0.50')])
+def test_the_matrix_of_another_size_is_asked_about(factor, side, said):
+    """K of a binned image with the full size, and that of the full one with a small image."""
+    camera = CameraIntrinsics(*(factor * value for value in (FULL.fx, FULL.fy, FULL.cx, FULL.cy)),
+                              round(side * FULL.width), round(side * FULL.height))
+    assert re.search(said, camera.question)
+    assert f'{camera.cx:.0f}, {camera.cy:.0f}' in camera.question
+
+
+def test_it_is_in_the_note_of_the_image():
+    camera = replace(CAMERA, cx=79.75, cy=59.75)
+    found = detect(camera=camera)
+    assert found.input_note == camera.question != '' and camera.question in found.scale_note
+
+
+@pytest.mark.parametrize(('cx', 'cy', 'is_asked'), [
+    (0.5, 0.5, False), (0.57, 0.46, False), (0.4, 0.6, False), (0.5, 0.8, True),
+    (0.3, 0.5, True), (-0.2, 0.5, True)])
+def test_a_principal_point_is_asked_about_only_far_off_the_middle(cx, cy, is_asked):
+    camera = replace(FULL, cx=cx * FULL.width, cy=cy * FULL.height)
+    assert bool(camera.question) == is_asked
+    assert not is_asked or 'cropped' in camera.question
+    assert not replace(camera, is_guessed=True).question
+
+
+@pytest.mark.parametrize('down', [[0, -1, 0], [0.0, -0.9, -0.4], [0.3, -0.8, -0.5]])
+def test_measured_gravity_with_the_sign_turned_is_asked_about(down):
+    true_down = -np.array(down, float) / np.linalg.norm(down)
+    ray_x, ray_y = pixel_rays(CAMERA)
+    with np.errstate(divide='ignore'):
+        height_of_ray = np.add.outer(ray_y * true_down[1] + true_down[2], ray_x * true_down[0])
+        floor_m = np.where(height_of_ray > 0.12, 0.9 / height_of_ray, np.nan)
+    floor_m += np.random.default_rng(0).normal(0, 0.001, SHAPE) * floor_m**2
+    assert 'REP-145' in detect(floor_m, gravity_camera=down).input_note
+    assert detect(floor_m, gravity_camera=true_down).input_note == ''

@@ -53,6 +53,7 @@ class Observation:
     edge_blur_px: float = 0.0  # largest error of depth edges, in pixels of this image
     covered: np.ndarray | None = None  # (H, W) bool, after rectification; None: all
     is_still: bool = False  # nothing moved since the image before: averaged with earlier ones
+    input_note: str = ''  # what speaks against its camera or depth as given; empty if nothing
     sees_sky: bool = False  # only found for a network's depth
     stamp_s: float = float('nan')  # time of the image; NaN: not known
     epoch: int = 0  # images of different epochs share no history
