@@ -166,6 +166,7 @@ class GravityFilter:
         self._spread2 = 0.0  # mean square of the deviations from it
         self._stamp_s = -math.inf
         self._averaged_s = 0.0
+        self._has_turned = False
         self._fault = ''
 
     def add(self, stamp_s: float, acceleration: Sequence[float],
@@ -188,12 +189,13 @@ class GravityFilter:
         is_jolt = abs(np.linalg.norm(force) - _STANDARD_GRAVITY) > _JOLT_M_S2
         if interval_s <= 0 or (is_jolt and self._is_weight):
             return
-        turns = angular_velocity is not None and np.isfinite(angular_velocity).all() and np.any(
-            angular_velocity)
+        # Zeros are those of a driver without a gyroscope, until one shows a turn.
+        turns = angular_velocity is not None and np.isfinite(angular_velocity).all()
+        self._has_turned |= turns and np.any(angular_velocity)
         if turns:  # what stands still in the world turns against the IMU
             self._force = cv2.Rodrigues(-interval_s * np.asarray(angular_velocity, float))[0] @ (
                 self._force)
-        most_s = _AVERAGED_TURNING_S if turns else _AVERAGED_S
+        most_s = _AVERAGED_TURNING_S if turns and self._has_turned else _AVERAGED_S
         # The mean of all readings until they fill the time: the first one may be a jerk.
         self._averaged_s = min(self._averaged_s + interval_s, most_s)
         gain = interval_s / (self._averaged_s + interval_s)

@@ -55,7 +55,7 @@ def test_with_angular_velocities_gravity_turns_with_the_camera(rate_deg_s):
         tilt_deg = max(t - 3.0, 0.0) * rate_deg_s
         brake = np.array([0.0, 0.0, -2.0]) * (3.2 < t < 3.7)
         # About x, in the sense that makes the camera look down.
-        turn = (-np.radians(rate_deg_s) * (t > 3.0), 0.0, 0.0)
+        turn = (-np.radians(rate_deg_s) * (t > 3.0), 1e-4, 0.0)
         imu.add(t, G * up_at(tilt_deg) + brake, turn)
         assert off_deg(imu.gravity_camera(t), -up_at(tilt_deg)) < 4.0
     assert off_deg(imu.gravity_camera(4.0), -up_at(rate_deg_s)) < 3.0
