@@ -357,6 +357,9 @@ class NodeConfig(Settings):
     rectify: str = setting(
         'auto', 'undo the lens distortion of CameraInfo; auto: if there is any and the topic is '
         'not named as rectified', choices=('auto', 'true', 'false'))
+    lens_is_guessed: bool = setting(
+        False, 'the CameraInfo is a guess, as by a field of view that nobody measured: what '
+        'follows from angles between rays, as gravity from the lines of the image, is uncertain')
     stamp_slop: float = setting(
         0.02, 'largest difference between the stamps of an image and its depth image, if no depth '
         'image has the same stamp', 's', 0.0, 10.0)
