@@ -21,6 +21,7 @@ import gc
 import hashlib
 import logging
 import os
+import re
 import shutil
 import stat
 import subprocess
@@ -45,6 +46,7 @@ MOST_PROCESSES = 6
 LOG_PERIOD_S = 5.0
 """Time between two messages while kernels are compiled."""
 _CHECK_S = 0.1
+_PYTHON_NAME = re.compile(r'(python|pypy)[\d.]*t?')
 # chosen: longer than a robot rests; each change of a file leaves the folders of before.
 _UNUSED_S = 30 * 24 * 3600.0
 # The program of a helper. In isolated mode the working directory is not searched for modules.
@@ -248,6 +250,21 @@ def load_once(*subjects: str) -> None:
     compile_kernels(subjects, logging.getLogger(__name__).warning)
 
 
+def _python() -> str | None:
+    """
+    Return the program that runs this version of Python; None if there is none.
+
+    In a program that embeds Python ``sys.executable`` is that program, or empty: started as a
+    helper, it would do whatever it does.
+    """
+    name = f'python{sys.version_info.major}.{sys.version_info.minor}'
+    folders = [Path(prefix) / 'bin' for prefix in (sys.prefix, sys.base_prefix)]
+    for program in (Path(sys.executable or os.devnull), *(folder / name for folder in folders)):
+        if _PYTHON_NAME.fullmatch(program.name) and os.access(program, os.X_OK):
+            return str(program)
+    return None
+
+
 def _compile_in_processes(kernels: list[Kernel], log: Callable[[str], None]) -> None:
     """
     Let other processes fill the cache; what they fail to compile is compiled by the caller.
@@ -255,6 +272,10 @@ def _compile_in_processes(kernels: list[Kernel], log: Callable[[str], None]) -> 
     Processes of multiprocessing would run the program of a user who calls this package outside of
     ``if __name__ == '__main__'`` again, and search the working directory for modules.
     """
+    if (python := _python()) is None:
+        log(f'{sys.executable or "this program"} is not Python and none is in {sys.prefix}: no '
+            'process can help, so that compiling takes several times as long')
+        return
     # A module at a time, since its kernels share callees; the longest first, to end together.
     length = Counter()
     for one in _KERNELS:
@@ -266,7 +287,7 @@ def _compile_in_processes(kernels: list[Kernel], log: Callable[[str], None]) -> 
     os.close(end)
     # This package first, wherever the program that uses it has found it.
     search_path = os.pathsep.join([str(Path(__file__).parents[1]), *filter(None, sys.path)])
-    command = [sys.executable, '-I', *(['-B'] if sys.dont_write_bytecode else []), '-c', _HELPER,
+    command = [python, '-I', *(['-B'] if sys.dont_write_bytecode else []), '-c', _HELPER,
                search_path, str(os.getpid()), ' '.join({one.subject for one in kernels}), *modules]
     # Numba would mark up each of the 50000 types that it tries in vain.
     environment = {**os.environ, 'NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING': '1'}

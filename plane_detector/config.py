@@ -28,6 +28,10 @@ class DepthConfig(Settings, section='depth'):
     unit: float = fixed_setting(
         0.0, 'metres of one count of measured depth, such as 0.0001; 0: by the encoding, 16UC1 '
         'millimetres, 32FC1 metres', 'm', 0.0, 1.0)
+    kind: str = setting(
+        'z', 'what measured depth images hold: z: depth along the optical axis, as depth cameras '
+        'give it; ray: the distance from the camera along each ray, as some simulators do',
+        choices=('z', 'ray'))
     colour: str = fixed_setting(
         'image', 'image: depth belongs to a colour image; none: depth alone, no image is needed',
         choices=('image', 'none'))
@@ -81,6 +85,9 @@ class DepthConfig(Settings, section='depth'):
             raise ValueError('depth.providers must name at least one execution provider')
         if self.colour == 'none' and not self.is_measured:
             raise ValueError('depth.colour can be none only with depth.source topic or points')
+        if self.kind == 'ray' and self.source == 'points':
+            raise ValueError('depth.kind ray is for depth images: with depth.source points, each '
+                             'point has its z')
 
     @property
     def is_measured(self) -> bool:
@@ -364,6 +371,9 @@ class NodeConfig(Settings):
     rectify: str = setting(
         'auto', 'undo the lens distortion of CameraInfo; auto: if there is any and the topic is '
         'not named as rectified', choices=('auto', 'true', 'false'))
+    lens_is_guessed: bool = setting(
+        False, 'the CameraInfo is a guess, as by a field of view that nobody measured: what '
+        'follows from angles between rays, as gravity from the lines of the image, is uncertain')
     stamp_slop: float = setting(
         0.02, 'largest difference between the stamps of an image and its depth image, if no depth '
         'image has the same stamp', 's', 0.0, 10.0)

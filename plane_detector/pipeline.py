@@ -10,6 +10,7 @@ a jump back in time, starts the state of the stage that it meets anew.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 from typing import Generic, TypeVar
 
@@ -18,6 +19,7 @@ import numpy as np
 from plane_detector.compilation import load_once
 from plane_detector.config import Config
 from plane_detector.depth.observation import DepthSource, ModelOrFunction, Observation, make_source
+from plane_detector.depth.ray_distance import kind_note
 from plane_detector.directions.finder import (
     CameraImage,
     DirectionFinder,
@@ -26,13 +28,15 @@ from plane_detector.directions.finder import (
 )
 from plane_detector.directions.gravity_choice import NO_GRAVITY
 from plane_detector.geometry.disparity import UNITLESS, to_disparity
-from plane_detector.geometry.projection import check_depth, check_image
+from plane_detector.geometry.gravity import measured_direction, sign_question
+from plane_detector.geometry.projection import as_depth, as_image
 from plane_detector.ground.ground import find_ground
 from plane_detector.planes.measurement import measure_planes
 from plane_detector.planes.normal_map import reoriented_by_normals
 from plane_detector.planes.patches import fill_patches
 from plane_detector.planes.ray_planes import ray_planes
 from plane_detector.planes.reorientation import measure_reoriented
+from plane_detector.process import one_thread
 from plane_detector.scale.estimate import ScaleEstimate, apply_scale
 from plane_detector.scale.methods import ScaleEvidence, estimate_scale
 from plane_detector.scale.temporal_filter import ScaleState, update_scale
@@ -58,6 +62,8 @@ from plane_detector.types import (
 DEFAULTS = Config()
 # Folders of the loops that every image needs.
 LOOPS = ('geometry', 'segmentation', 'planes', 'ground')
+# chosen: the kind of depth is looked at in the images 1, 2, 4, ... and in each so many.
+_KIND_IMAGES = 64
 State = TypeVar('State')
 
 
@@ -72,6 +78,23 @@ class _OfEpoch(Generic[State]):
         if epoch != self._epoch:
             self._epoch, self._state = epoch, self._make()
         return self._state
+
+
+@dataclass
+class _KindNote:
+    """What was found about the kind of measured depth; looked for ever more seldom: 4 ms."""
+
+    images: int = 0
+    text: str = ''
+
+    def of_next(self, depth_m: np.ndarray, intrinsics: CameraIntrinsics, kind: str) -> str:
+        """Return the note for the next image of a stream."""
+        self.images += 1
+        is_power_of_two = not self.images & (self.images - 1)
+        if is_power_of_two or not self.images % _KIND_IMAGES:
+            self.text = kind_note(depth_m, intrinsics, kind) or (
+                '' if self.images % _KIND_IMAGES == 0 else self.text)
+        return self.text
 
 
 @dataclass
@@ -116,6 +139,7 @@ class PlaneDetector:
         self.source: DepthSource = make_source(self.config, depth_model)
         self._epoch = self._depth_epoch = 0
         self._stamp_s = float('nan')
+        self._kinds = _OfEpoch(_KindNote)
         self._directions = _OfEpoch(DirectionFinder)
         self._planes = _OfEpoch(_PlaneState)
 
@@ -133,17 +157,20 @@ class PlaneDetector:
         intrinsics : CameraIntrinsics
             Of that image.
         depth_m : (H, W) floating, optional
-            Measured depth of the same image in metres, NaN invalid. With ``config.depth.source``
-            ``topic`` it is required and is segmented; with ``model`` it may determine the scale.
+            Measured depth of the same image in metres, of ``config.depth.kind``; NaN, infinity,
+            less than 1 mm and more than ``config.depth.max_depth`` are invalid. With
+            ``config.depth.source`` ``topic`` it is required and is segmented; with ``model`` it
+            may determine the scale.
         gravity_camera : (3,) floating, optional
-            Measured; default: ``config.scale.gravity``.
+            Measured, not all 0; default: ``config.scale.gravity``.
         covered : (H, W) bool, optional
             False in the black corners that rectification leaves; depth is invalid there.
         stamp_s : float
             Time of the image. If it jumps back, all history is discarded. Without it, lines are
             sought in every image in which they are needed, also while nothing moves.
         camera_height_m : float, optional
-            Measured height above the floor; default: ``config.scale.camera_height``.
+            Measured height above the floor, 0 if it is not known; default:
+            ``config.scale.camera_height``.
 
         Returns
         -------
@@ -152,12 +179,14 @@ class PlaneDetector:
         Raises
         ------
         ValueError
-            Image, depth or ``covered`` has another type or size than stated here, or a required
-            depth image is missing.
+            An argument has another type, size or range than stated here, or a required depth
+            image is missing.
 
         """
         seen = self.estimate_depth(rgb, intrinsics, depth_m, covered, stamp_s)
-        return self.find_planes(seen, self.find_directions(seen, gravity_camera), camera_height_m)
+        with one_thread():
+            around = self.find_directions(seen, gravity_camera)
+            return self.find_planes(seen, around, camera_height_m)
 
     def estimate_depth(self, rgb: np.ndarray, intrinsics: CameraIntrinsics,
                        depth_m: np.ndarray | None = None, covered: np.ndarray | None = None,
@@ -169,16 +198,24 @@ class PlaneDetector:
         Another thread may run the next two stages for the images before, in order. They add their
         times to the ``timer`` of the observation.
         """
-        check_image(rgb, intrinsics)
+        rgb, timer = as_image(rgb, intrinsics), timer or StageTimer()
         if depth_m is not None:
-            check_depth(depth_m, intrinsics)
-        timer = timer or StageTimer()
+            depth_m = as_depth(depth_m, intrinsics, self.config.depth.max_depth,
+                               self.config.depth.kind)
+        if covered is not None:
+            covered = _checked_cover(covered, rgb.shape[:2])
+        if math.isinf(stamp_s):
+            raise ValueError(f'stamp_s must be finite, or NaN if it is not known, not {stamp_s}')
         if stamp_s < self._stamp_s - JUMP_S:
             self._epoch += 1
         epoch, self._stamp_s = self._epoch, stamp_s
         if epoch != self._depth_epoch:
             self._depth_epoch = epoch
             self.source.reset()
+        notes = [intrinsics.question]
+        if depth_m is not None:
+            notes.append(self._kinds.at(epoch).of_next(depth_m, intrinsics,
+                                                       self.config.depth.kind))
         with timer('depth'):
             seen = self.source.observe(rgb, intrinsics, depth_m, self.config)
             if seen.is_measured:
@@ -186,8 +223,8 @@ class PlaneDetector:
                                                           metric_noise_floor(self.config)))
             if covered is not None:
                 seen = seen.restricted_to(covered)
-            check_depth(seen.prediction.values, intrinsics)
-        return replace(seen, stamp_s=stamp_s, epoch=epoch, timer=timer)
+        return replace(seen, stamp_s=stamp_s, epoch=epoch, timer=timer,
+                       input_note=_joined(notes))
 
     def find_directions(self, seen: Observation, gravity_camera: np.ndarray | None = None,
                         gravity_source: str = 'measured') -> Surroundings:
@@ -197,10 +234,12 @@ class PlaneDetector:
         Those found last are kept while nothing moves. ``gravity_source`` names what measured the
         direction of gravity.
         """
+        if gravity_camera is not None:
+            gravity_camera = measured_direction(gravity_camera)
         image = CameraImage(seen.rgb, seen.intrinsics, seen.covered, seen.disparity,
                             seen.output == 'relative_disparity', seen.stamp_s,
                             is_still=seen.is_measured or seen.is_still)
-        with seen.timer('directions'):
+        with seen.timer('directions'), one_thread():
             return self._directions.at(seen.epoch).find(
                 image, gravity_camera, seen.config, gravity_source,
                 for_planes=_may_reorient(seen))
@@ -208,7 +247,12 @@ class PlaneDetector:
     def find_planes(self, seen: Observation, around: Surroundings,
                     camera_height_m: float | None = None) -> Detection:
         """Run the third stage of :meth:`detect`: the planes of an image with depth."""
-        config, timer = seen.config.with_camera_height(camera_height_m), seen.timer
+        with one_thread():
+            return self._find_planes(seen, around, camera_height_m)
+
+    def _find_planes(self, seen: Observation, around: Surroundings,
+                     camera_height_m: float | None) -> Detection:
+        config, timer = _with_height(seen.config, camera_height_m), seen.timer
         state = self._planes.at(seen.epoch)
         with timer('segmentation'):
             # 1. The pixels of each plane, in the unit of the prediction.
@@ -257,10 +301,11 @@ class PlaneDetector:
             labels = planes.labels if not regions.patches.size else fill_patches(
                 planes.labels, regions.patches, planes.planes, depth_m, seen.intrinsics,
                 shape_labels)
+        input_note = _joined([seen.input_note, _sign_note(planes, around, scale)])
         return Detection(planes.planes, labels, planes.disparity_noise,
                          systematic_noise=planes.systematic_noise, depth_m=depth_m,
                          scale_method=scale.unit_method, is_measured=seen.is_measured,
-                         scale_note=str(scale),
+                         scale_note=_joined([str(scale), input_note]), input_note=input_note,
                          scale_event=state.scale.event, shapes=shapes,
                          shape_labels=shape_labels, shape_note=shape_note,
                          gravity_camera=around.gravity.gravity_camera,
@@ -288,11 +333,13 @@ def segment_planes(depth_m: np.ndarray, intrinsics: CameraIntrinsics, config: Co
     Parameters
     ----------
     depth_m : (H, W) floating
-        Metres along the optical axis; NaN, infinity and less than 1 mm are invalid.
+        Metres, of ``config.depth.kind``; NaN, infinity, less than 1 mm and more than
+        ``config.depth.max_depth`` are invalid, as for :meth:`PlaneDetector.detect`.
     intrinsics : CameraIntrinsics
         Of an image of that size.
     config : Config, optional
-        Its ``segmentation``, ``ransac``, ``dbscan`` and ``paper`` are used.
+        Its ``segmentation``, ``ransac``, ``dbscan`` and ``paper`` are used, and of ``depth`` the
+        kind and ``max_depth``.
     disparity_noise : float
         Standard deviation stated for the depth source, 1/m; a lower bound of the estimate.
     rng : numpy.random.Generator, optional
@@ -306,7 +353,8 @@ def segment_planes(depth_m: np.ndarray, intrinsics: CameraIntrinsics, config: Co
     Raises
     ------
     ValueError
-        ``depth_m`` is not a 2-D floating point array, or its size differs from the intrinsics.
+        ``depth_m`` is not a 2-D floating point array, its size differs from the intrinsics, or
+        the noise or the generator is none.
 
     Examples
     --------
@@ -321,13 +369,54 @@ def segment_planes(depth_m: np.ndarray, intrinsics: CameraIntrinsics, config: Co
 
     """
     config = config or DEFAULTS
-    check_depth(depth_m, intrinsics)
+    depth_m = as_depth(depth_m, intrinsics, config.depth.max_depth, config.depth.kind)
+    if not 0 <= disparity_noise < math.inf:
+        raise ValueError('disparity_noise must be a standard deviation in 1/m, 0 if it is not '
+                         f'known, not {disparity_noise}')
+    if not (rng is None or isinstance(rng, np.random.Generator)):
+        raise ValueError(f'rng must be a numpy.random.Generator, not {rng!r}: of a seed, '
+                         'np.random.default_rng(seed)')
     load_once(*LOOPS)
-    if disparity_noise == 0:
-        depth_m = without_constants(np.asarray(depth_m, np.float32), metric_noise_floor(config))
-    regions = _find_regions(to_disparity(depth_m), intrinsics, config,
-                            metric_noise_floor(config, disparity_noise), rng)
-    return _measured_planes(regions, intrinsics, config)
+    with one_thread():
+        if disparity_noise == 0:
+            depth_m = without_constants(depth_m, metric_noise_floor(config))
+        regions = _find_regions(to_disparity(depth_m), intrinsics, config,
+                                metric_noise_floor(config, disparity_noise), rng)
+        return _measured_planes(regions, intrinsics, config)
+
+
+def _checked_cover(covered: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """Return where an image is covered (H, W) bool; ValueError if it says it in another way."""
+    covered = np.asarray(covered)
+    if covered.shape != shape or covered.dtype != bool:
+        raise ValueError(f'covered must be {shape} bool, as the image, not {covered.shape} '
+                         f'{covered.dtype}: of a mask of numbers, mask > 0')
+    return np.require(covered, requirements='CW')
+
+
+def _with_height(config: Config, camera_height_m: float | None) -> Config:
+    """Return the settings with a measured height, if there is one; ValueError if it cannot be."""
+    try:
+        return config.with_camera_height(
+            None if camera_height_m is None else float(camera_height_m))
+    except (TypeError, ValueError) as error:
+        raise ValueError(f'camera_height_m {camera_height_m!r} is no height: {error}') from None
+
+
+def _joined(notes: list[str]) -> str:
+    return '; '.join(filter(None, notes))
+
+
+def _sign_note(found: PlaneSegmentation, around: Surroundings, scale: ScaleEstimate) -> str:
+    """Return that measured gravity may point up; empty if nothing tells so."""
+    gravity = around.gravity
+    if gravity.gravity_camera is None or gravity.source in ('image', 'parameter'):
+        return ''
+    if not (scale.is_metric and scale.has_true_angles):
+        return ''
+    planes = found.planes
+    return sign_question(gravity.gravity_camera, planes.normals, planes.offsets_m, planes.counts,
+                         found.labels.size)
 
 
 def _may_reorient(seen: Observation) -> bool:

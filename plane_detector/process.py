@@ -7,12 +7,13 @@ from __future__ import annotations
 import ctypes
 import gc
 import os
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
 
 import cv2
-from threadpoolctl import threadpool_limits
+from threadpoolctl import ThreadpoolController, threadpool_limits
 
 # derived: values from <malloc.h> of glibc, and the largest threshold that it accepts.
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD, _LARGEST_MMAP_THRESHOLD = -1, -3, 32 * 2**20
@@ -71,13 +72,32 @@ def use_one_thread() -> None:
     threadpool_limits(1)
 
 
+_limiting = threading.Lock()  # held by the block that limits the threads of the process
+
+
+@cache
+def _libraries() -> ThreadpoolController:
+    """Return the libraries with threads of their own; to look for them takes 13 ms."""
+    return ThreadpoolController()
+
+
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Keep OpenCV, BLAS and OpenMP to one thread in a block, or in the decorated function."""
+    """
+    Keep OpenCV, BLAS and OpenMP to one thread in a block, or in the decorated function.
+
+    These are limits of the process, and only the thread that sets them can lift them: of blocks
+    within each other, or at the same time in several threads, the first one to begin sets them,
+    and at its end the process has the threads of before.
+    """
+    if not _limiting.acquire(blocking=False):
+        yield
+        return
     before = cv2.getNumThreads()
-    cv2.setNumThreads(1)
     try:
-        with threadpool_limits(1):
+        cv2.setNumThreads(1)
+        with _libraries().limit(limits=1):
             yield
     finally:
         cv2.setNumThreads(before)
+        _limiting.release()

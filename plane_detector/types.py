@@ -4,11 +4,12 @@
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum, IntEnum
 from functools import cached_property
-from typing import Protocol, runtime_checkable
+from typing import Protocol, overload, runtime_checkable
 
 import numpy as np
 
@@ -18,6 +19,10 @@ JUMP_S = 1.0
 # chosen: a lens sees between .06 and 179 degrees along the longer side; the longest telephoto and
 # the widest fisheye are far inside. Outside, products of coefficients overflow.
 _LEAST_FOCAL_SHARE, _MOST_FOCAL_SHARE, _MOST_CENTRE_SHARE = 0.01, 1000.0, 1000.0
+
+# chosen: of 170 cameras of public sets the principal point is within .05 of the middle; half the
+# size moves it by .25, two thirds by .17. The shares of both sides of another size are equal.
+_MOST_OFF_CENTRE, _SAME_SHARE = 0.12, 1.2
 
 
 @dataclass(frozen=True)
@@ -34,11 +39,14 @@ class CameraIntrinsics:
         the image, by less than 1000 times the longer side.
     width, height : int
         Size of the image in pixels.
+    is_guessed : bool
+        The focal lengths are a guess, as by a field of view that nobody measured: what follows
+        from angles between rays is uncertain.
 
     Raises
     ------
     ValueError
-        A value is not finite or out of these ranges, or a side is not positive.
+        A value is no number, not finite or out of these ranges, or a side is not positive.
 
     Examples
     --------
@@ -53,8 +61,13 @@ class CameraIntrinsics:
     cy: float
     width: int
     height: int
+    is_guessed: bool = False
 
     def __post_init__(self) -> None:
+        # Of any number, also of a float32 matrix: the loops take float64.
+        for name, kind in {**dict.fromkeys(('fx', 'fy', 'cx', 'cy'), float),
+                           **dict.fromkeys(('width', 'height'), int)}.items():
+            object.__setattr__(self, name, _number(name, getattr(self, name), kind))
         if not np.isfinite([self.fx, self.fy, self.cx, self.cy]).all():
             raise ValueError(f'camera intrinsics must be finite, not {self}')
         if min(self.fx, self.fy) <= 0:
@@ -79,10 +92,42 @@ class CameraIntrinsics:
         """Camera matrix K, (3, 3) float64."""
         return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1]], float)
 
+    @property
+    def question(self) -> str:
+        """
+        Why this may be the camera of another image, and the remedy; empty if nothing tells so.
+
+        Examples
+        --------
+        >>> CameraIntrinsics(300.0, 300.0, 160.0, 90.0, 640, 360).question
+        'the principal point, (160, 90) px, is at .25 and .25 of the 640 x 360 image, ...'
+
+        """
+        shares = self.cx / self.width, self.cy / self.height
+        if self.is_guessed or max(abs(share - 0.5) for share in shares) <= _MOST_OFF_CENTRE:
+            return ''
+        found = (f'the principal point, ({self.cx:.0f}, {self.cy:.0f}) px, is at '
+                 + ' and '.join(f'{share:.2f}'.replace('0.', '.') for share in shares)
+                 + f' of the {self.width} x {self.height} image, but near the middle of most')
+        if min(shares) > 0 and max(shares) < _SAME_SHARE * min(shares):
+            factor = 1 / sum(shares)
+            return (f'{found}: are fx {self.fx:.0f}, fy, cx and cy those of about a '
+                    f'{self.width / factor:.0f} x {self.height / factor:.0f} image, binned or '
+                    f'resized? Then multiply them by {factor:.2f}, or send the CameraInfo of this '
+                    'image')
+        return (f'{found}: if it is not cropped there, it has the CameraInfo of another image; '
+                'send its own, or calibrate the camera')
+
     @classmethod
-    def from_field_of_view(cls, width: int, height: int, horizontal_deg: float):
+    def from_field_of_view(cls, width: int, height: int, horizontal_deg: float,
+                           is_guessed: bool = False):
         """
         Return the intrinsics of a centred camera with square pixels.
+
+        Raises
+        ------
+        ValueError
+            As of the class, or the angle is not above 0 and below 180 degrees.
 
         Examples
         --------
@@ -91,8 +136,24 @@ class CameraIntrinsics:
         (320.0, 319.5, 239.5)
 
         """
+        if not 0 < horizontal_deg < 180:
+            raise ValueError('the horizontal field of view must be above 0 and below 180 degrees, '
+                             f'not {horizontal_deg}')
         focal_px = float(0.5 * width / np.tan(np.radians(horizontal_deg) / 2))
-        return cls(focal_px, focal_px, (width - 1) / 2, (height - 1) / 2, width, height)
+        return cls(focal_px, focal_px, (width - 1) / 2, (height - 1) / 2, width, height,
+                   is_guessed)
+
+
+def _number(name: str, value: object, kind: type) -> int | float:
+    """Return a value of a camera as a plain int or float; ValueError if it is none."""
+    try:
+        number = kind(value)
+        if number == value or number != number:
+            return number
+    except (TypeError, ValueError, OverflowError):
+        pass
+    what = 'a whole number of pixels' if kind is int else 'a number of pixels'
+    raise ValueError(f'{name} of the camera must be {what}, not {value!r}')
 
 
 @dataclass(frozen=True)
@@ -213,12 +274,16 @@ class Planes(Sequence[Plane]):
     """
     K planes in one frame, as arrays; indexing and iteration give each as a :class:`Plane`.
 
+    A slice, a mask or an array of indices gives some of them as :class:`Planes`, as with an array.
+
     Examples
     --------
     >>> wall = Plane(np.array([0, 0, -1.0]), 2.0, np.array([0, 0, 2.0]), 9, 0.0, 1.0, np.eye(4), 1)
     >>> planes = Planes.of([wall, wall])
     >>> planes.normals.shape, planes[1].offset_m, [plane.inlier_count for plane in planes]
     ((2, 3), 2.0, [9, 9])
+    >>> len(planes[:1]), len(planes[planes.offsets_m > 1.0]), len(planes[[1, 0, 1]])
+    (1, 2, 3)
 
     """
 
@@ -249,7 +314,16 @@ class Planes(Sequence[Plane]):
     def __len__(self) -> int:
         return len(self.offsets_m)
 
-    def __getitem__(self, index: int) -> Plane:
+    @overload
+    def __getitem__(self, index: int) -> Plane: ...
+
+    @overload
+    def __getitem__(self, index: slice | np.ndarray | Sequence[int]) -> Planes: ...
+
+    def __getitem__(self, index):
+        if isinstance(index, slice) or np.ndim(index):
+            return self.picked(index)
+        index = operator.index(index)
         return Plane(self.normals[index], float(self.offsets_m[index]), self.centroids_m[index],
                      int(self.counts[index]), float(self.rms_m[index]),
                      float(self.areas_m2[index]), self.covariances[index],
@@ -258,7 +332,21 @@ class Planes(Sequence[Plane]):
                      int(self.merged[index]))
 
     def picked(self, index: np.ndarray | Sequence[int]) -> Planes:
-        """Return some of the planes, by a mask (K,) bool or by their indices."""
+        """
+        Return some of the planes, by a slice, by a mask (K,) bool or by their indices.
+
+        Raises
+        ------
+        IndexError
+            As of an array: a mask of another length, an index that there is not, or several
+            dimensions.
+
+        """
+        if not isinstance(index, slice):
+            index = np.asarray(index) if len(index) else np.zeros(0, np.int64)
+            if index.ndim != 1:
+                raise IndexError('planes have one dimension: index them by a slice, a mask (K,) '
+                                 f'or indices (N,), not by an array of shape {index.shape}')
         return Planes(*[getattr(self, name)[index] for name in self.__dataclass_fields__])
 
     def followed_by(self, others: Planes) -> Planes:
@@ -425,6 +513,9 @@ class Detection(PlaneSegmentation):
     is_measured: bool = field(default=True, kw_only=True)
     stage_seconds: Mapping[str, float] = field(default_factory=dict)
     scale_note: str = ''  # result of the scale method with its uncertainty, or why there is none
+    # What speaks against the camera, its depth or its gravity as given, with the remedy; empty if
+    # nothing does.
+    input_note: str = field(default='', kw_only=True)
     scale_event: str = ''  # what changed with this image, if anything
     shapes: tuple[Shape, ...] = ()  # largest first
     # (H, W) int32, index into ``shapes``, -1 none; (0, 0) without shapes

@@ -114,6 +114,21 @@ def test_a_helper_that_fails_is_reported(sample):
     assert printed[-1] == '11.0'
 
 
+@pytest.mark.parametrize('name', ['blender', 'uwsgi', 'python_host', ''])
+def test_a_program_that_embeds_python_is_not_started_as_a_helper(name, sample, tmp_path,
+                                                                 monkeypatch):
+    mark, program = tmp_path / 'was started', tmp_path / (name or 'none')
+    program.write_text(f'#!/bin/sh\ntouch "{mark}"\n')
+    program.chmod(0o755)
+    embedded = f"sys.executable = {str(program) if name else ''!r}"
+    printed = sample(0, '+', before=embedded)
+    assert printed[-1] == '11.0' and 'takes longer' not in ''.join(printed)
+    without = embedded + "; sys.prefix = sys.base_prefix = '/nowhere'"
+    printed = sample(1, '-', before=without)
+    assert printed[-1] == '19.0' and 'is not Python and none is in /nowhere' in ''.join(printed)
+    assert not mark.exists()
+
+
 @pytest.mark.parametrize('fault', [
     'resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))',
     "os.environ['XDG_CACHE_HOME'] = '/proc/none'; tempfile.tempdir = '/proc/none'"])

@@ -99,3 +99,18 @@ def test_planes_without_a_class_and_shapes_have_the_colours_of_the_palette():
     table = colours_by_label(np.array([2]), np.array([PlaneClass.WALL]), 9)
     np.testing.assert_array_equal(table[[3, 9]], label_colours(np.array([3, 9])))
     np.testing.assert_array_equal(table[2], plane_colours(np.array([2]), [PlaneClass.WALL])[0])
+
+
+@pytest.mark.parametrize('colours', [
+    np.zeros((1, 3), np.uint8), np.zeros((0, 3), np.uint8), np.zeros((4, 4), np.uint8),
+    np.zeros((4, 3)), np.zeros(3, np.uint8)])
+def test_colours_that_are_none_of_labels_are_refused(colours):
+    labels = np.ones((4, 6), int)
+    with pytest.raises(ValueError, match=r'\(N, 3\) uint8'):
+        tint(np.zeros((4, 6, 3), np.uint8), labels, colours)
+
+
+def test_colours_may_be_part_of_a_larger_array():
+    colours = np.arange(24, dtype=np.uint8).reshape(4, 6)[:, ::2]
+    drawn = tint(np.zeros((4, 6, 3), np.uint8), np.full((4, 6), 2), colours, 1.0)
+    np.testing.assert_array_equal(drawn[0, 0], colours[2])

@@ -15,7 +15,7 @@ PUBLIC = {
     'plane_detector.drawing': ('colour_depth', 'figure', 'label_colours', 'overlay',
                                'plane_colours'),
     'plane_detector.geometry.disparity': ('to_depth', 'to_disparity', 'valid_depth'),
-    'plane_detector.geometry.gravity': ('gravity_from_acceleration', 'unit_direction'),
+    'plane_detector.geometry.gravity': ('measured_direction', 'unit_direction'),
     'plane_detector.geometry.projection': ('depth_to_points', 'pixel_rays'),
     'plane_detector.geometry.rigid_transform': ('RigidTransform',),
     'plane_detector.geometry.robust': ('dilated', 'median'),

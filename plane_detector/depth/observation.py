@@ -53,6 +53,7 @@ class Observation:
     edge_blur_px: float = 0.0  # largest error of depth edges, in pixels of this image
     covered: np.ndarray | None = None  # (H, W) bool, after rectification; None: all
     is_still: bool = False  # nothing moved since the image before: averaged with earlier ones
+    input_note: str = ''  # what speaks against its camera or depth as given; empty if nothing
     sees_sky: bool = False  # only found for a network's depth
     stamp_s: float = float('nan')  # time of the image; NaN: not known
     epoch: int = 0  # images of different epochs share no history
@@ -145,10 +146,10 @@ class SensorDepth:
 
     def observe(self, rgb: np.ndarray, intrinsics: CameraIntrinsics, depth_m: np.ndarray | None,
                 config: Config) -> Observation:
-        """Return the observation of a depth image; ValueError without one."""
+        """Return the observation of depth (H, W) float32, NaN invalid; ValueError without one."""
         if depth_m is None:
             raise ValueError('depth.source is topic or points, but no depth was given')
-        prediction = Prediction(self.output, limited_depth(depth_m, config.depth.max_depth))
+        prediction = Prediction(self.output, depth_m)
         return Observation(rgb, intrinsics, config, prediction, is_measured=True)
 
     def reset(self) -> None:
@@ -176,7 +177,8 @@ class ModelDepth:
                 config: Config) -> Observation:
         """Return the observation of an image with its prediction, averaged while it is still."""
         prediction, (height, width) = self.model.predict(rgb, intrinsics), rgb.shape[:2]
-        output, values = prediction.output, np.asarray(prediction.values, np.float32)
+        # Writable, as the loops take them: those of a function may be a view of what it keeps.
+        output, values = prediction.output, np.require(prediction.values, np.float32, 'CW')
         if values.shape != (height, width):
             raise ValueError(f'depth of shape {values.shape} for an image of shape '
                              f'{(height, width)}: they must be of one size')
@@ -186,6 +188,8 @@ class ModelDepth:
             # In the median as the unit, so that no depth is below the least or beyond float32.
             valid = values[np.isfinite(values) & (values > 0)]
             values = values / np.float32(median(valid) if valid.size else 1.0)
+        elif output == 'relative_disparity':
+            values = np.where(np.isfinite(values), values, np.float32(np.nan))
         if output not in UNITLESS:
             values = values * np.float32(factor if output == 'metric_depth' else 1 / factor)
             limited = limited_depth if output == 'metric_depth' else limited_disparity

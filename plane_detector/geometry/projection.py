@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from plane_detector.geometry.disparity import valid_depth
+from plane_detector.geometry.disparity import limited_depth, valid_depth
 from plane_detector.types import CameraIntrinsics
 
 
@@ -27,9 +27,9 @@ def pixel_rays(intrinsics: CameraIntrinsics) -> tuple[np.ndarray, np.ndarray]:
     return ray_x.astype(np.float32), ray_y.astype(np.float32)
 
 
-def check_image(rgb: np.ndarray, intrinsics: CameraIntrinsics) -> None:
+def as_image(rgb: np.ndarray, intrinsics: CameraIntrinsics) -> np.ndarray:
     """
-    Check type and size of an image.
+    Return an image (H, W, 3) uint8 as the loops take it: contiguous and writable.
 
     Raises
     ------
@@ -38,32 +38,94 @@ def check_image(rgb: np.ndarray, intrinsics: CameraIntrinsics) -> None:
 
     Examples
     --------
-    >>> check_image(np.zeros((2, 4, 3), np.uint8), CameraIntrinsics(2.0, 2.0, 1.5, 0.5, 4, 2))
+    >>> camera = CameraIntrinsics(2.0, 2.0, 1.5, 0.5, 4, 2)
+    >>> as_image(np.zeros((2, 4, 3), np.uint8)[:, ::-1], camera).flags.c_contiguous
+    True
+    >>> as_image(np.zeros((2, 4), np.uint8), camera)
+    Traceback (most recent call last):
+    ValueError: the image must be (H, W, 3) uint8, not (2, 4) uint8: of a grey one, np.dstack([...
 
     """
+    rgb = np.asarray(rgb)
     if rgb.ndim != 3 or rgb.shape[2] != 3 or rgb.dtype != np.uint8:
-        raise ValueError(f'the image must be (H, W, 3) uint8, not {rgb.shape} {rgb.dtype}')
-    if rgb.shape[:2] != (intrinsics.height, intrinsics.width):
-        raise ValueError(f'the image is {rgb.shape[1]} x {rgb.shape[0]}, the intrinsics are for '
-                         f'{intrinsics.width} x {intrinsics.height}')
+        raise ValueError(f'the image must be (H, W, 3) uint8, not {rgb.shape} {rgb.dtype}: of a '
+                         'grey one, np.dstack([grey] * 3); with a fourth channel, rgba[..., :3]; '
+                         'from 0 to 1, (255 * image).astype(np.uint8)')
+    _check_size('the image', rgb, intrinsics)
+    return np.require(rgb, requirements='CW')
 
 
-def check_depth(depth_m: np.ndarray, intrinsics: CameraIntrinsics) -> None:
+def as_depth(depth_m: np.ndarray, intrinsics: CameraIntrinsics, max_depth_m: float = np.inf,
+             kind: str = 'z') -> np.ndarray:
     """
-    Check type and size of a depth image.
+    Return measured depth as the pipeline takes it: z (H, W) float32, NaN invalid.
+
+    Parameters
+    ----------
+    depth_m : (H, W) floating
+        Metres; NaN, infinity and less than 1 mm are invalid, and so is what is masked in a masked
+        array.
+    intrinsics : CameraIntrinsics
+        Of an image of that size.
+    max_depth_m : float
+        Depth beyond this is invalid, too.
+    kind : str
+        ``z``: along the optical axis; ``ray``: the distance from the camera, along each ray.
 
     Raises
     ------
     ValueError
         It is not a 2-D floating point array, or its size differs from the intrinsics.
 
+    Examples
+    --------
+    >>> camera = CameraIntrinsics(fx=1.0, fy=1.0, cx=0.0, cy=0.0, width=2, height=1)
+    >>> as_depth(np.array([[2.0, 2.0]]), camera, kind='ray').round(3)
+    array([[2.   , 1.414]], dtype=float32)
+    >>> as_depth(np.array([[0.0, 9.0]]), camera, max_depth_m=8.0)
+    array([[nan, nan]], dtype=float32)
+
     """
+    depth_m = _checked_depth(depth_m, intrinsics)
+    if kind == 'ray':
+        with np.errstate(over='ignore', invalid='ignore'):
+            depth_m = depth_m.astype(np.float32) / ray_lengths(intrinsics)
+    return limited_depth(depth_m, max_depth_m)
+
+
+def ray_lengths(intrinsics: CameraIntrinsics) -> np.ndarray:
+    """
+    Return the distance of each pixel's point over its depth, (H, W) float32, at least 1.
+
+    Examples
+    --------
+    >>> ray_lengths(CameraIntrinsics(3.0, 4.0, 0.0, 0.0, 5, 1)).round(3)
+    array([[1.   , 1.054, 1.202, 1.414, 1.667]], dtype=float32)
+
+    """
+    ray_x, ray_y = pixel_rays(intrinsics)
+    return np.sqrt(np.add.outer(1 + ray_y * ray_y, ray_x * ray_x))
+
+
+def _checked_depth(depth_m: np.ndarray, intrinsics: CameraIntrinsics) -> np.ndarray:
+    """Return depth (H, W) floating, NaN where it is masked; ValueError if it is no such image."""
+    depth_m = np.asanyarray(depth_m)
     if depth_m.ndim != 2 or depth_m.dtype.kind != 'f':
         raise ValueError('depth must be a 2-D floating point array in metres, not '
                          f'{depth_m.ndim}-D {depth_m.dtype}; uint16 millimetres: divide by 1000')
-    if depth_m.shape != (intrinsics.height, intrinsics.width):
-        raise ValueError(f'depth is {depth_m.shape[1]} x {depth_m.shape[0]}, the intrinsics are '
-                         f'for {intrinsics.width} x {intrinsics.height}')
+    _check_size('depth', depth_m, intrinsics)
+    return np.ma.filled(depth_m, np.nan)
+
+
+def _check_size(what: str, image: np.ndarray, intrinsics: CameraIntrinsics) -> None:
+    if not isinstance(intrinsics, CameraIntrinsics):
+        raise ValueError('the intrinsics must be CameraIntrinsics, not '
+                         f'{type(intrinsics).__name__}: of a matrix K, CameraIntrinsics(K[0, 0], '
+                         'K[1, 1], K[0, 2], K[1, 2], width, height)')
+    height, width = image.shape[:2]
+    if (width, height) != (intrinsics.width, intrinsics.height):
+        raise ValueError(f'{what} is {width} x {height}, the intrinsics are for '
+                         f'{intrinsics.width} x {intrinsics.height}')
 
 
 def depth_to_points(depth_m: np.ndarray, intrinsics: CameraIntrinsics) -> np.ndarray:
@@ -96,7 +158,7 @@ def depth_to_points(depth_m: np.ndarray, intrinsics: CameraIntrinsics) -> np.nda
            [ 2.,  0.,  2.]], dtype=float32)
 
     """
-    check_depth(depth_m, intrinsics)
+    depth_m = _checked_depth(depth_m, intrinsics)
     ray_x, ray_y = pixel_rays(intrinsics)
     points_m = np.empty((*depth_m.shape, 3), np.float32)
     points_m[..., 2] = depth_m

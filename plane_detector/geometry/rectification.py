@@ -159,4 +159,5 @@ class Reduction:
         by_x, by_y = (new / old for old, new in zip(self.old_size, self.new_size, strict=True))
         # The left edge of the image is at -0.5 in both sizes.
         return CameraIntrinsics(full.fx * by_x, full.fy * by_y, full.cx * by_x + 0.5 * (by_x - 1),
-                                full.cy * by_y + 0.5 * (by_y - 1), *self.new_size)
+                                full.cy * by_y + 0.5 * (by_y - 1), *self.new_size,
+                                full.is_guessed)

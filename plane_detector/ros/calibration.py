@@ -41,12 +41,14 @@ def intrinsics_from_msg(msg: CameraInfo, rectified: bool = False) -> CameraIntri
     Return the pinhole model of the image that is sent: by P, if it is rectified and has one, or K.
 
     Binning and region of interest are applied as image_geometry's PinholeCameraModel does. Raises
-    ValueError if K is all zeros (the camera is not calibrated) or not finite, or the image has no
-    size.
+    ValueError if that matrix is all zeros (the camera is not calibrated) or not finite, or the
+    image has no size.
     """
-    if not np.any(msg.k):
-        raise ValueError('the CameraInfo has a K of zeros: the camera is not calibrated')
     has_p = rectified and msg.p[0] != 0
+    if not (has_p or np.any(msg.k)):
+        raise ValueError('the CameraInfo has a K of zeros: the camera is not calibrated' + (
+            f', but its P has fx {msg.p[0]:g} px: if the images are rectified, remap to a topic '
+            'whose name says so, as image_rect' if msg.p[0] and not rectified else ''))
     (fx, _, cx), (_, fy, cy) = (np.reshape(msg.p, (3, 4))[:2, :3] if has_p
                                 else np.reshape(msg.k, (3, 3))[:2]).tolist()
     every_x, every_y = max(msg.binning_x, 1), max(msg.binning_y, 1)

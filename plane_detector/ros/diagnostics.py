@@ -178,6 +178,8 @@ class Health:
         """
         self._last = detection
         self._note_mounting(detection.mounting.problem if detection.mounting else '', stamp_s)
+        if detection.input_note:  # once, however its numbers vary
+            self.warn_once(_NUMBER.sub('', detection.input_note), detection.input_note)
         if detection.scale_event:
             self._logger.info(detection.scale_event)
         before, self._gap = self._gap, missing_for_classes(detection, wanted)
@@ -233,6 +235,8 @@ def _facts_of(detection: Detection, late_failure: str) -> dict[str, str]:
     if detection.scale_method != RELATIVE:
         facts['noise'] = (f'{detection.disparity_noise:.4f} 1/m, of which '
                           f'{detection.systematic_noise:.4f} bend planes')
+    if detection.input_note:
+        facts['input_note'] = detection.input_note
     if detection.gravity_note:
         facts['gravity_note'] = detection.gravity_note
     if detection.gravity_probability == detection.gravity_probability:  # not NaN

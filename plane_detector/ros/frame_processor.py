@@ -96,6 +96,9 @@ class FrameProcessor:
             # 3. Gravity and lines, then planes.
             around = self.detector.find_directions(seen, *measured_gravity(frame, pose))
             found = self.detector.find_planes(seen, around, pose and pose.height_m)
+            if frame.imu_problem:
+                found = replace(found, input_note='; '.join(filter(None, (
+                    found.input_note, frame.imu_problem))))
             result = DetectedFrame(
                 found, seen.intrinsics, to_target, seen.stamp_s, header=frame.image.header,
                 rgb=seen.rgb, settings=settings, config=seen.config,

@@ -70,6 +70,7 @@ class ShapeDetector:
 
     def __init__(self) -> None:
         self._tracks: tuple[ShapeTrack, ...] = ()
+        self._size: tuple[int, int] | None = None
 
     def reset(self) -> None:
         """Discard all known shapes."""
@@ -89,6 +90,9 @@ class ShapeDetector:
         if not config.tracking.enabled:
             self.reset()
             return planes, shapes, shape_labels
+        if shape_labels.shape != self._size:  # their pixels are of images of another size
+            self.reset()
+            self._size = shape_labels.shape
         self._tracks, labels = update_shape_tracks(
             self._tracks, shapes, shape_labels, config.tracking.keep_frames)
         shapes = tuple(replace(shape, label=label)

@@ -25,6 +25,7 @@ class Overlap:
 
     of_union: np.ndarray  # share of the union of their pixels: 1 only for identical pixels
     of_known: np.ndarray  # share of the known plane: 1 also for each part of a merged plane
+    common: np.ndarray  # their number
 
 
 def thinned(labels: np.ndarray, rows: int) -> np.ndarray:
@@ -38,7 +39,7 @@ def measure_overlap(pixels: np.ndarray, known_px: np.ndarray, labels: np.ndarray
     """Return the overlap of known things, as of :func:`sorted_pixels`, with labels (M,) now."""
     common, known_px = _count_common(pixels, known_px, labels, len(found_px)), known_px[:, None]
     return Overlap(common / np.maximum(known_px + found_px - common, 1),
-                   common / np.maximum(known_px, 1))
+                   common / np.maximum(known_px, 1), common)
 
 
 @kernel('Tuple((int32[::1], int64[::1]))(int32[::1], int64)', is_short=True)

@@ -45,6 +45,9 @@ _MOTION_MIN_COSINE = np.cos(np.radians(30.0))
 # within three standard deviations, as for other decisions on coefficients.
 _MERGED_SHARE, _MOST_DEVIATIONS = 0.5, 3.0
 
+# chosen: three times the deviation of one plane between two images; what is nearer lies before it.
+_BEFORE_SHARE = 0.1
+
 
 @dataclass(frozen=True)
 class KnownPlanes:
@@ -109,8 +112,10 @@ def update_tracks(known: KnownPlanes, found: PlaneSegmentation, config: Tracking
     overlap = measure_overlap(known.pixels, known.sizes, image, sizes)
     moved = _moved_along(known, after, sizes, overlap)
     deviation2, nearness = compare(moved, after, 1 + known.missed)
-    # By shared pixels or, if the camera has turned so far that there are none, by the centroids.
+    # By shared pixels, of all or of what still can be seen, or by the centroids, if the camera has
+    # turned so far that there are none.
     place = np.maximum((overlap.of_union + overlap.of_known) / 2, nearness)
+    place = np.maximum(place, _share_of_seen(moved, after, sizes, overlap.common))
     score = place * np.exp(-0.5 * deviation2)
     trust = (1 - _YOUTH / known.streaks) * np.where(known.missed > 0, _MISSED, 1.0)
     match = matched(np.where(score < _MIN_SCORE, 0, score) * trust[:, None], 0.0)
@@ -127,16 +132,42 @@ def update_tracks(known: KnownPlanes, found: PlaneSegmentation, config: Tracking
         np.concatenate([np.zeros_like(sizes), known.missed[gone] + 1])), after
 
 
+def _share_of_seen(known: Planes, after: Planes, sizes: np.ndarray,
+                   common: np.ndarray) -> np.ndarray:
+    """
+    Return the pixels that two planes share as a share of those that show either, (T, N).
+
+    Where there is no plane now, or one that lies before the known one, that may go on behind it:
+    of a wall of which a person close by leaves a tenth, this tenth is all that can be compared.
+    """
+    is_seen = np.where(_nearer(known, after) > _BEFORE_SHARE, 0, common)
+    either = is_seen.sum(axis=1, keepdims=True) + sizes - is_seen
+    return is_seen / np.maximum(either, 1)
+
+
+def _nearer(known: Planes, after: Planes) -> np.ndarray:
+    """Return how far planes lie before known ones, as a share of their distance, (T, N)."""
+    return (known.normals @ after.centroids_m.T + known.offsets_m[:, None]
+            ) / known.distances_m[:, None]
+
+
 def _moved_along(known: KnownPlanes, after: Planes, sizes: np.ndarray,
                  overlap: Overlap) -> Planes:
     """Move the known planes with the motion of those that are reliably found in both images."""
     share = overlap.of_union
     if not share.size:
         return known.planes
+    cosines = known.planes.normals @ after.normals.T
+    # A person who steps before a wall has many of its pixels, and the wall has them again after;
+    # where a rest of it is seen at its place, what lies before or behind it is another.
+    nearer = _nearer(known.planes, after)
+    is_rest = (abs(nearer) < _BEFORE_SHARE) & (cosines > _MOTION_MIN_COSINE) & (overlap.common > 0)
+    is_another = (((nearer > _BEFORE_SHARE) & is_rest.any(axis=1, keepdims=True))
+                  | ((nearer < -_BEFORE_SHARE) & is_rest.any(axis=0, keepdims=True)))
     # The pairs whose pixels and normals leave no doubt.
     old, new = ((share > _MOTION_MIN_OVERLAP) & (share == share.max(axis=0))
-                & (known.missed == 0)[:, None]
-                & (known.planes.normals @ after.normals.T > _MOTION_MIN_COSINE)).nonzero()
+                & (known.missed == 0)[:, None] & (cosines > _MOTION_MIN_COSINE)
+                & ~is_another).nonzero()
     weights = share[old, new] * np.sqrt(sizes[new])
     return estimate_motion(known.planes, after, (old, new), weights).move(known.planes)
 

@@ -67,7 +67,7 @@ def test_noise_is_a_share_of_the_disparities_of_the_image_in_any_unit(output):
 
 
 @pytest.mark.parametrize('source', [
-    SensorDepth(), ModelDepth(DepthFunction(lambda rgb: VALUES)),
+    ModelDepth(DepthFunction(lambda rgb: VALUES)),
     ModelDepth(DepthFunction(lambda rgb: np.where(VALUES > 0, 1 / VALUES, np.nan), 'disparity'))])
 def test_invalid_or_too_far_depth_is_nan(source):
     given = VALUES.copy()

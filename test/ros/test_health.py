@@ -21,12 +21,13 @@ from plane_detector.types import GroundLack, GroundPixels, Mounting
 
 
 def detection(classes, scale='metric', planes=2, gravity_note='', shape=(480, 640), note='',
-              lack=None, mounting=None, probability=math.nan):
+              lack=None, mounting=None, probability=math.nan, input_note=''):
     if lack is None:
         lack = (GroundLack.GRAVITY if not any(classes) else
                 GroundLack.UNIT if scale == 'relative' else GroundLack.NOTHING)
     return SimpleNamespace(labels=np.zeros(shape), planes=(None,) * planes, classes=classes,
                            scale_method=scale, scale_note='why', scale_event='',
+                           input_note=input_note,
                            gravity_source='none', gravity_note=gravity_note,
                            gravity_probability=probability,
                            camera_height_m=1.25, tilt_deg=math.nan, drops_m=(),

@@ -2,12 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Labels of shapes from image to image."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from plane_detector.config import Config, ShapesConfig
 from plane_detector.shapes import detector
 from plane_detector.tracking.shape_tracker import update_shape_tracks
-from plane_detector.types import Shape, ShapeType
+from plane_detector.types import NO_PLANES, PlaneSegmentation, Shape, ShapeType
 
 SHAPE = (60, 80)
 
@@ -59,3 +61,21 @@ def test_the_detector_gives_each_shape_the_label_of_its_track(monkeypatch):
     for expected in ([(0.0, 1), (1.0, 2)], [(1.02, 2), (0.02, 1)]):
         _, shapes, _ = finder.detect(None, None, None, None, config)
         assert [(shape.position_m[0], shape.label) for shape in shapes] == expected
+
+
+def test_shapes_of_an_image_of_another_size_are_others(monkeypatch):
+    """Their pixels are other ones; a label would be one by chance."""
+    def found(size):
+        labels = np.full(size, -1, np.int32)
+        labels[20:30, 20:30] = 0
+        planes = PlaneSegmentation(NO_PLANES, np.full(size, -1, np.int32), 0.001)
+        monkeypatch.setattr(detector, 'find_shapes',
+                            lambda *_: (planes, (ball(0.0),), labels))
+        return [one.label for one in shapes.detect(
+            np.ones(size, np.float32), planes, None, None,
+            Config(shapes=ShapesConfig(types='all')))[1]]
+    shapes = detector.ShapeDetector()
+    assert found(SHAPE) == [1]
+    shapes._tracks = tuple(replace(one, label=7) for one in shapes._tracks)
+    assert found(SHAPE) == [7]
+    assert found((120, 160)) == [1]

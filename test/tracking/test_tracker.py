@@ -72,6 +72,41 @@ def test_labels_follow_the_plane_and_not_the_order():
     assert labels_of(tracker, turned) == (4, 3, 1, 2)
 
 
+PERSON = plane([0.3, 0, -1], 0.8, (0, 0, 0.9), 0.4)
+
+
+@pytest.mark.parametrize('has_plane', [True, False])
+@pytest.mark.parametrize('left', [3, 5, 8, 12])
+@pytest.mark.parametrize('others', [(), (LEFT,), (LEFT, BOX)])
+def test_a_person_close_by_who_hides_most_of_a_plane_takes_no_label(has_plane, left, others):
+    """Of a wall of 100 columns some stay in view on either side, with another centroid."""
+    tracker = Tracked()
+    patches = (np.s_[:80, 60:], np.s_[:80, :60], np.s_[50:90, 90:130])
+    room = image(BACK, *others, patches=patches)
+    for _ in range(5):
+        before = labels_of(tracker, room)
+    rest = plane([0, 0.02, -1], 4.02, (3.2 if left < 6 else 2.8, 0.1, 4), left / 100)
+    hidden = image(rest, *others, *([PERSON] if has_plane else []),
+                   patches=(*patches[:len(others) + 1], np.s_[:, 20:160 - left]))
+    if not has_plane:
+        hidden.labels[:, 20:160 - left] = -1
+    for _ in range(3):
+        found = labels_of(tracker, hidden)
+        assert found[0] == before[0]
+        assert not has_plane or found[-1] not in before
+    assert labels_of(tracker, room) == before
+
+
+def test_a_front_before_a_wall_that_it_hides_is_not_the_wall():
+    """Parallel and as large, 15 % nearer; nor does the wall lose its label by it."""
+    tracker = Tracked()
+    for _ in range(3):
+        labels_of(tracker, image(BACK, patches=(np.s_[:80, :],)))
+    front = plane([0, 0, -1], 3.4, (0, 0, 3.4))
+    assert labels_of(tracker, image(front, BACK, patches=(np.s_[:80, :150], np.s_[:80, 150:]))
+                     ) == (2, 1)
+
+
 def test_a_plane_missed_for_a_while_comes_back_under_its_label():
     tracker = Tracked(keep_frames=5)
     tracker.update(ROOM)

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import cv2
@@ -81,7 +81,8 @@ class FrameConverter:
             info = _with_size(info, rgb)
         is_distorted = bool(np.any(info.d)) and not self._named_rectified
         rectify = is_distorted if settings.rectify == 'auto' else settings.rectify == 'true'
-        intrinsics = intrinsics_from_msg(info, rectify or self._named_rectified)
+        intrinsics = replace(intrinsics_from_msg(info, rectify or self._named_rectified),
+                             is_guessed=settings.lens_is_guessed)
         size, expected = rgb.shape[1::-1], (intrinsics.width, intrinsics.height)
         if size != expected:
             raise ValueError(encodings.wrong_size(size, expected))

@@ -18,13 +18,13 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image, Imu, PointCloud2
 
 from plane_detector.config import Config
 from plane_detector.geometry.disparity import UNITLESS
-from plane_detector.geometry.gravity import gravity_from_acceleration, smooth_gravity
+from plane_detector.geometry.gravity import GravityFilter
 from plane_detector.ros.calibration import image_size
 from plane_detector.types import JUMP_S
 
 _CACHED = 16
+_NOT_MEASURED = -1  # derived: first element of a covariance, by sensor_msgs/Imu
 JUMP_NS = round(1e9 * JUMP_S)
-_SILENT_IMU_S = 1.0
 
 
 @dataclass(frozen=True)
@@ -41,6 +41,7 @@ class Frame:
     depth: Image | CompressedImage | PointCloud2 | None  # measured, beside the image
     gravity_camera: np.ndarray | None  # (3,) float64, direction in the optical frame, by an IMU
     epoch: int  # increases if time jumps back: frames of different epochs share no history
+    imu_problem: str = ''  # what is wrong with the readings of the IMU; empty if nothing is
 
 
 def depth_use(config: Config, output: str) -> str:
@@ -77,7 +78,7 @@ class FrameSynchronizer:
                  imu_to_camera: tuple[float, ...] = (0.0, 0.0, 0.0, 1.0)):
         self._depth_use, self._stamp_slop_s = depth, stamp_slop_s
         self._images, self._infos, self._depths = _Messages(), _Messages(), _Messages()
-        self._gravity = _GravityFilter(imu_to_camera)
+        self._gravity = GravityFilter(imu_to_camera)
         self._last_ns = 0
         self._dropped = 0
         self._unpaired_ns: int | None = None
@@ -140,9 +141,11 @@ class FrameSynchronizer:
         return self._complete(at_end=True)
 
     def add_imu(self, msg: Imu) -> None:
-        """Add an accelerometer reading, for frames that are completed later."""
-        force = msg.linear_acceleration
-        self._gravity.add(ns_of(msg) * 1e-9, (force.x, force.y, force.z))
+        """Add a reading of the IMU, for frames that are completed later."""
+        force, turn = msg.linear_acceleration, msg.angular_velocity
+        has_turn = msg.angular_velocity_covariance[0] != _NOT_MEASURED
+        self._gravity.add(ns_of(msg) * 1e-9, (force.x, force.y, force.z),
+                          (turn.x, turn.y, turn.z) if has_turn else None)
 
     def _complete(self, at_end: bool = False) -> list[Frame]:
         frames = []
@@ -163,7 +166,8 @@ class FrameSynchronizer:
                 del depths[other_ns]
             self._last_ns = stamp_ns
             gravity = self._gravity.gravity_camera(stamp_ns * 1e-9)
-            frames.append(Frame(image, info, depth, gravity, self._images.jumps))
+            frames.append(Frame(image, info, depth, gravity, self._images.jumps,
+                                self._gravity.problem))
         return frames
 
     def _awaits_calibration(self, image: Image | CompressedImage, info: CameraInfo) -> bool:
@@ -231,40 +235,6 @@ class _Messages:
     def offset_of_nearest(self, stamp_ns: int) -> int | None:
         """Return how much later than a stamp the message nearest to it is; None without one."""
         return min((other_ns - stamp_ns for other_ns in self.by_stamp), key=abs, default=None)
-
-
-class _GravityFilter:
-    """Smooths readings of an accelerometer over time; those during acceleration are ignored."""
-
-    def __init__(self, imu_to_camera: Sequence[float]):
-        self._imu_to_camera = imu_to_camera
-        self.reset()
-
-    def mount(self, imu_to_camera: Sequence[float]) -> None:
-        """Change the mounting of the IMU; readings by another one are discarded."""
-        if tuple(imu_to_camera) != tuple(self._imu_to_camera):
-            self._imu_to_camera = imu_to_camera
-            self.reset()
-
-    def reset(self) -> None:
-        """Discard all readings."""
-        self._gravity_camera: np.ndarray | None = None
-        self._stamp_s = -np.inf
-
-    def add(self, stamp_s: float, acceleration: Sequence[float]) -> None:
-        """Add a reading (x, y, z) in m/s^2."""
-        reading = gravity_from_acceleration(acceleration, self._imu_to_camera)
-        if reading is None:
-            return
-        if stamp_s < self._stamp_s - _SILENT_IMU_S:
-            self.reset()
-        interval_s = min(stamp_s - self._stamp_s, 1e3)
-        self._gravity_camera = smooth_gravity(self._gravity_camera, reading, interval_s)
-        self._stamp_s = stamp_s
-
-    def gravity_camera(self, stamp_s: float) -> np.ndarray | None:
-        """Return the direction of gravity (3,), optical frame; None without recent readings."""
-        return self._gravity_camera if stamp_s - self._stamp_s <= _SILENT_IMU_S else None
 
 
 def stamp_text(stamped: Any) -> str:

@@ -89,15 +89,22 @@ def _network(options: argparse.Namespace) -> dict[str, str]:
 def _show(photographs: Sequence[Photograph], parameters: Mapping[str, str], depth_title: str,
           suffix: str, folder: Path) -> None:
     """Send each photograph to a node with these parameters; draw and print what it finds."""
-    with Session(parameters) as session:
-        for photograph in photographs:
-            received, name = session.process(photograph), photograph.name + suffix
-            paths = [folder / f'{name}.{kind}' for kind in ('png', 'ply', 'csv')]
-            figure = _figure(photograph, depth_title, received)
-            cv2.imwrite(str(paths[0]), cv2.cvtColor(figure, cv2.COLOR_RGB2BGR))
-            _write_tables(paths[1], paths[2], photograph, received)
-            _print(name, photograph, received)
-            print('  ' + ', '.join(map(str, paths)))
+    for is_guessed in sorted({one.intrinsics.is_guessed for one in photographs}):
+        with Session({**parameters, 'lens_is_guessed': is_guessed}) as session:
+            for photograph in photographs:
+                if photograph.intrinsics.is_guessed == is_guessed:
+                    _show_one(session, photograph, depth_title, suffix, folder)
+
+
+def _show_one(session: Session, photograph: Photograph, depth_title: str, suffix: str,
+              folder: Path) -> None:
+    received, name = session.process(photograph), photograph.name + suffix
+    paths = [folder / f'{name}.{kind}' for kind in ('png', 'ply', 'csv')]
+    figure = _figure(photograph, depth_title, received)
+    cv2.imwrite(str(paths[0]), cv2.cvtColor(figure, cv2.COLOR_RGB2BGR))
+    _write_tables(paths[1], paths[2], photograph, received)
+    _print(name, photograph, received)
+    print('  ' + ', '.join(map(str, paths)))
 
 
 def _write_tables(ply: Path, table: Path, photograph: Photograph, received: Received) -> None:

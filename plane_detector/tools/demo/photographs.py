@@ -44,7 +44,7 @@ class Lens:
         """Return the pinhole model for an image of this size."""
         if self.fx is None:
             return CameraIntrinsics.from_field_of_view(
-                width, height, self.field_of_view_deg or _FIELD_OF_VIEW_DEG)
+                width, height, self.field_of_view_deg or _FIELD_OF_VIEW_DEG, is_guessed=True)
         return CameraIntrinsics(
             self.fx, self.fx if self.fy is None else self.fy,
             (width - 1) / 2 if self.cx is None else self.cx,

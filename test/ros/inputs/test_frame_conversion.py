@@ -208,3 +208,13 @@ def test_a_large_image_is_reduced_first_with_its_depth_and_camera(distortion):
     assert np.abs(small.rgb[inside] - expected[inside]).mean() < (30 if distortion else 1)
     expected_m = whole.depth_m.reshape(30, 2, 40, 2).mean(axis=(1, 3))
     np.testing.assert_allclose(small.depth_m[inside], expected_m[inside], atol=0.03)
+
+
+@pytest.mark.parametrize('rectify', ['auto', 'true', 'false'])
+@pytest.mark.parametrize('max_side', [0, 40])
+def test_a_guessed_lens_stays_one(rectify, max_side):
+    """Of the image as it comes, rectified, and reduced."""
+    for is_guessed in (False, True):
+        settings = NodeConfig(rectify=rectify, max_side=max_side, lens_is_guessed=is_guessed)
+        found = FrameConverter('/camera/image').convert(frame(DISTORTION['plumb_bob']), settings)
+        assert found.intrinsics.is_guessed == is_guessed

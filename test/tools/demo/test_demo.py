@@ -46,6 +46,8 @@ def test_folder_images_are_read_in_order_as_rgb(tmp_path):
     np.testing.assert_array_equal(found[1].rgb[0, 0], (0, 0, 255))
     assert found[0].rgb[0, 0, 0] > 250
     assert found[0].intrinsics == CameraIntrinsics(33, 33, 19.5, 14.5, 40, 30)
+    for guess in (Lens(), Lens(field_of_view_deg=69.0)):
+        assert folder_images(tmp_path, guess)[0].intrinsics.is_guessed
 
 
 def test_ply_holds_the_valid_points(tmp_path):
