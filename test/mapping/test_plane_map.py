@@ -16,8 +16,10 @@ from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.evaluation.scenes.rooms import single_wall
 from plane_detector.evaluation.scenes.walks import walk, with_errors
 from plane_detector.geometry.rigid_transform import RigidTransform
+from plane_detector.mapping import merging, plane_map
 from plane_detector.mapping.association import Pairs, assign
 from plane_detector.mapping.heights import with_pose_error
+from plane_detector.mapping.map_file import SavedMap, write_map
 from plane_detector.mapping.map_plane import as_planes
 from plane_detector.mapping.merging import merge_touched
 from plane_detector.mapping.plane_map import FORGETTING, PlacedDetection, PlaneMap
@@ -271,3 +273,36 @@ def test_both_sides_of_a_thin_panel_are_two_planes():
              and plane.cells.area_m2 > 0.5]
     assert len(sides) == 2
     assert sides[0].axes[2] @ sides[1].axes[2] < -0.99
+
+
+def test_a_plane_seen_once_in_a_long_walk_is_forgotten_after_a_load(tmp_path):
+    """After as many images as without: those before the file do not count."""
+    planes, _ = run(1)
+    planes.images = 1000
+    planes.planes = tuple(replace(plane, first_image=999) for plane in planes.planes)
+    write_map(tmp_path / 'map.json', SavedMap(
+        planes.planes, RigidTransform.identity(), 'odom', 0.0), as_planes(planes.planes))
+    planes.load(tmp_path / 'map.json', 'odom')
+    before = {plane.label for plane in planes.planes}
+    mapped([recording().detections[0]] * 31, sideways(*[1000.0] * 31), planes)  # sees none of them
+    assert not before & {plane.label for plane in planes.planes}
+
+
+def test_a_map_whose_cells_are_used_up_grows_no_more_and_says_so(monkeypatch):
+    """Room for the first two planes only: the others have no cells, and go."""
+    whole, _ = run(1)
+    sizes = [plane.cells.hits.size for plane in whole.planes]
+    monkeypatch.setattr(plane_map, 'MOST_CELLS_IN_ALL', sum(sizes[:2]))
+    planes, updates = run(3)
+    assert [update.is_full for update in updates] == [True] * 3
+    assert sum(plane.cells.hits.size for plane in planes.planes) <= sum(sizes[:2])
+    assert len(planes.planes) == 2
+
+
+def test_planes_are_not_merged_into_more_cells_than_there_may_be(monkeypatch):
+    """Two pieces of the floor 10 m apart: around both there are 220 x 20 cells and a margin."""
+    pieces = [piece(1, 0.0), piece(2, 10.0)]
+    for most, count in ((228 * 20, 1), (228 * 20 - 1, 2)):
+        monkeypatch.setattr(merging, 'MOST_CELLS_IN_ALL', most)
+        merged, _ = merge_touched(pieces, np.array([1]), np.array([0.0, 0.0, 1.0]))
+        assert len(merged) == count

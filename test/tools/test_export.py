@@ -14,7 +14,7 @@ from map_helpers import map_plane
 
 from plane_detector.geometry.rigid_transform import RigidTransform
 from plane_detector.mapping.map_file import SavedMap, write_map
-from plane_detector.mapping.map_plane import new_axes
+from plane_detector.mapping.map_plane import as_planes, new_axes
 from plane_detector.tools.export import floor_plan, main
 from plane_detector.types import PlaneClass
 
@@ -49,7 +49,7 @@ def test_a_doorway_is_a_gap_and_the_table_has_height_and_size(saved):
 
 
 def test_files(saved, tmp_path, capsys):
-    write_map(tmp_path / 'map.json', saved)
+    write_map(tmp_path / 'map.json', saved, as_planes(saved.planes))
     names = {option: tmp_path / name for option, name in (
         ('--floor-plan', 'plan.svg'), ('--geojson', 'plan.json'), ('--ply', 'planes.ply'),
         ('--keep-out', 'keep_out.yaml'))}
