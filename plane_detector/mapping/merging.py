@@ -13,7 +13,7 @@ import numpy as np
 from plane_detector.mapping.association import reach_of
 from plane_detector.mapping.cells import MOST_CELLS_IN_ALL, Cells, are_near, resampled
 from plane_detector.mapping.heights import heights_of, squared_misfits
-from plane_detector.mapping.map_plane import MapPlane, as_planes, centroids_of, frames_of
+from plane_detector.mapping.map_plane import MapPlane, as_planes, frames_of
 from plane_detector.mapping.registration import GATE
 
 # chosen: what a robot takes for one surface; steps of 2 cm stay by chi-squared or as shown apart.
@@ -32,15 +32,21 @@ def merge_touched(planes: Sequence[MapPlane], touched: np.ndarray, up: np.ndarra
     """
     known, gone = {plane.label: plane for plane in planes}, {}
     frames, labels = frames_of(planes), np.array([plane.label for plane in planes], int)
-    (normals, offsets), (_, centroids) = frames.coordinates, centroids_of(planes, frames)
+    found = as_planes(planes)
+    normals, offsets, centroids = found.normals, found.offsets_m, found.centroids_m
     own = np.flatnonzero(np.isin(labels, touched))
     own = own[np.argsort(labels[own])]
     away_m = np.maximum(abs(normals[own] @ centroids.T + offsets[own, None]),
                         abs(centroids[own] @ normals.T + offsets))
     close = (normals[own] @ normals.T > _MIN_COSINE) & (away_m < 2 * _MOST_DISTANCE_M)
     close[np.arange(len(own)), own] = False
-    for k, other_k in np.argwhere(close).tolist():
-        label, other = int(labels[own[k]]), int(labels[other_k])
+    touched_k, others_k = np.nonzero(close)
+    pairs = np.stack([own[touched_k], others_k])
+    # Most differ: what is left is compared one by one, as each merge changes the next.
+    larger, smaller = np.take_along_axis(pairs, np.argsort(-found.counts[pairs], axis=0), axis=0)
+    heights, covariances, _ = heights_of(frames.picked(larger), found, smaller)
+    alike = squared_misfits(frames.picked(larger), heights, covariances) < GATE
+    for label, other in labels[pairs.T[alike]].tolist():
         if label not in known or other not in known:
             continue
         larger, smaller = sorted((known[label], known[other]),

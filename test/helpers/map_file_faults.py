@@ -44,7 +44,7 @@ def _paths(value: object, path: str) -> Iterator[str]:
     if isinstance(value, dict):
         names = list(value)
     elif isinstance(value, list):
-        names = sorted({0, len(value) - 1} - {-1})
+        names = sorted({0, len(value) - 1}) if value else []
     else:
         return
     for name in names:
