@@ -11,10 +11,11 @@ from map_helpers import map_plane
 
 from plane_detector import Config, PlaneDetector
 from plane_detector.config import DepthConfig, MapConfig
-from plane_detector.evaluation.benchmark.map import record, score
+from plane_detector.evaluation.benchmark.map import along_face, record, score
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
+from plane_detector.evaluation.scenes.rendering import box, camera_rotation, render
 from plane_detector.evaluation.scenes.rooms import single_wall
-from plane_detector.evaluation.scenes.walks import walk, with_errors
+from plane_detector.evaluation.scenes.walks import QVGA, walk, walls, with_errors
 from plane_detector.geometry.rigid_transform import RigidTransform
 from plane_detector.mapping import merging, plane_map
 from plane_detector.mapping.association import Pairs, assign
@@ -306,3 +307,39 @@ def test_planes_are_not_merged_into_more_cells_than_there_may_be(monkeypatch):
         monkeypatch.setattr(merging, 'MOST_CELLS_IN_ALL', most)
         merged, _ = merge_touched(pieces, np.array([1]), np.array([0.0, 0.0, 1.0]))
         assert len(merged) == count
+
+
+THINGS = {'crate': box([0, 1.6, 0.3], [0.6, 0.6, 0.6], 20),
+          'picture': box([0.3, 2.19, 1.3], [0.9, 0.02, 0.7])}
+
+
+@pytest.mark.parametrize('was_empty', [True, False])
+@pytest.mark.parametrize('name', THINGS)
+def test_what_is_taken_away_is_gone_within_twenty_looks(name, was_empty):
+    """Also where the wall and the floor behind it were seen before it came."""
+    rng, thing, there = np.random.default_rng(1), THINGS[name], range(12, 36)
+    room = walls(np.array([4.4, 4.4, 2.5]))
+    detector, planes = PlaneDetector(Config(depth=DepthConfig(source='topic'))), PlaneMap()
+    for k in range(0 if was_empty else there[0], there[-1] + 21):
+        pose = RigidTransform(camera_rotation(12 * np.sin(0.5 * k), -18 + 3 * np.cos(0.7 * k), 0),
+                              np.array([0.15 * np.sin(0.4 * k), -0.9, 1.35]))
+        scene = render(room + (thing if k in there else []), pose.rotation, pose.translation_m,
+                       QVGA, rng)
+        found = detector.detect(scene.rgb, QVGA, with_disparity_noise(scene.depth_m, 0.001, rng),
+                                scene.gravity_camera)
+        planes.update(PlacedDetection(found, QVGA, pose, 0.1 * k))
+        if k == there[-1]:
+            of_thing = {plane.label for plane in planes.planes
+                        if any(covers(face, plane) for face in thing)}
+    assert of_thing
+    assert not of_thing & {plane.label for plane in planes.planes}
+    assert not any(covers(face, plane) for face in thing for plane in planes.planes)
+
+
+def covers(face, plane):
+    """Return whether most cells of a plane are on a rectangle, and not on the wall behind it."""
+    along = along_face(face, plane.points(plane.cells.middles_m()))
+    sides = [np.linalg.norm(edge) + 0.04 for edge in (face.edge_u, face.edge_v)]
+    is_on = ((abs(along[:, 2]) < 0.01) & (along[:, :2] > -0.04).all(axis=1)
+             & (along[:, :2] < sides).all(axis=1))
+    return is_on.mean() > 0.5
