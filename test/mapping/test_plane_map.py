@@ -249,6 +249,16 @@ def test_labels_are_not_used_again_after_clear():
     assert update.labels.min() > updates[-1].labels.max()
 
 
+def test_labels_of_a_file_are_not_used_again(tmp_path):
+    planes, _ = run(2)
+    planes.save(tmp_path / 'map.json', 'odom', 0.0)
+    other = PlaneMap()
+    other.load(tmp_path / 'map.json', 'odom')
+    # Far away, where none of them is.
+    _, (update,) = mapped(recording().detections[:1], sideways(1000.0), other)
+    assert update.labels.min() > max(plane.label for plane in planes.planes)
+
+
 @pytest.mark.parametrize('images', [0, 3])
 def test_an_image_without_planes_changes_nothing(images):
     planes, _ = run(images)

@@ -5,7 +5,6 @@
 import numpy as np
 import pytest
 from map_helpers import map_plane
-from output_scene import TARGET, frame
 from ros_helpers import header
 
 from plane_detector.config import MapConfig
@@ -48,14 +47,14 @@ def test_jitter_above_twice_the_setting_is_said_with_the_value_to_set(live, jitt
     assert ('map.pose_jitter is 0.5 cm: set it to 0.011' in live.problem()) == is_said
 
 
-def test_after_a_load_new_planes_have_new_labels(live, tmp_path):
+def test_a_map_is_given_out_once_for_each_change(live, tmp_path):
+    assert live.take_view() is None
     live.save(tmp_path / 'map.json')
-    other = LiveMap(MapConfig(cell=0.05), 'odom')
-    other.load(tmp_path / 'map.json')
-    assert [plane.label for plane in other.take_view().snapshot.surfaces] == [7]
-    assert other.take_view() is None
-    other._map.update(frame(to_target=TARGET))
-    assert sorted(plane.label for plane in other._map.planes)[:2] == [7, 8]
+    live.load(tmp_path / 'map.json')
+    assert [plane.label for plane in live.take_view().snapshot.surfaces] == [7]
+    assert live.take_view() is None
+    assert live.clear() == '1 planes are gone'
+    assert live.take_view().snapshot.surfaces == ()
 
 
 def test_what_no_message_can_be_made_of_leaves_the_map(live, tmp_path, monkeypatch):
