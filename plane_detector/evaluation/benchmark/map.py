@@ -294,7 +294,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 HEADER = ('case', 'surfaces', 'found', 'pieces', 'planes', 'of no surface', 'left of what went',
-          'IoU', 'offset 95 % (cm)', 'chi-squared / 3: median, mean', 'switches', 'jumps', 'ms: median, worst')
+          'IoU', 'offset 95 % (cm)', 'chi-squared / 3: median, mean',
+          'switches', 'jumps', 'ms: median, worst')
 
 
 def run(options: argparse.Namespace) -> None:
