@@ -265,7 +265,8 @@ class MapConfig(Settings, section='map'):
         False, 'keep a map of the planes of all images in target_frame, which must not move with '
         'the camera: odom or map')
     file: str = fixed_setting(
-        'planes.json', 'file that ~/map/save writes and ~/map/load reads')
+        'auto', 'file that ~/map/save writes and ~/map/load reads; ~ is the home folder; auto: '
+        'the name of the node with _map.json, in the working directory')
     cell: float = fixed_setting(
         0.04, 'side of the square cells in which a plane is known to be there', 'm', 0.005, 1.0)
     pose_jitter: float = fixed_setting(

@@ -36,8 +36,11 @@ _FEWEST, _LEFT_SHARE = 4, 0.3
 # A look through a cell at what is behind it counts as several.
 # tuned: benchmark map --first-seed 0 --only hard.
 THROUGH = 3
-# chosen: 80 m from the origin of a plane at .04 m; limits its memory to 16 MB.
+# chosen: 80 m from the origin of a plane at .04 m.
 MOST_CELLS = 2048
+# chosen: of all planes, 27 000 m^2 at .04 m; limits their memory to 50 MB, as each has two counts
+# and whether it is seen. One plane as far as MOST_CELLS on all sides is as large.
+MOST_CELLS_IN_ALL = 4 * MOST_CELLS**2
 # chosen: corners of outlines may be off by one cell, in halves of a cell (Douglas and Peucker).
 _TOLERANCE = 2.0
 # Cells at the border of a bitmap, so that it need not grow with each image.
@@ -116,7 +119,7 @@ class Cells:
         The largest part first, each followed by its holes.
         """
         # Twice as large, so that a border of one cell keeps its width; corners are between pixels.
-        mask = np.kron(self.seen, np.ones((2, 2), np.uint8)).astype(np.uint8)
+        mask = self.seen.astype(np.uint8).repeat(2, axis=0).repeat(2, axis=1)
         contours, hierarchy = cv2.findContours(mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_SIMPLE)
         if not contours:
             return []
@@ -130,8 +133,13 @@ class Cells:
         return [(self.size_m * ((corners + 0.5) / 2 + self.low), is_hole)
                 for corners, is_hole in simple if len(corners) > 2]
 
-    def grown(self, low_m: np.ndarray, high_m: np.ndarray) -> Cells:
-        """Return the cells with at least those between two corners (2,)."""
+    def grown(self, low_m: np.ndarray, high_m: np.ndarray, most: int = MOST_CELLS_IN_ALL
+              ) -> Cells | None:
+        """
+        Return the cells with at least those between two corners (2,).
+
+        None if there would be more new ones than ``most``.
+        """
         low, high = ([min(max(rounded(value / self.size_m), -MOST_CELLS), MOST_CELLS)
                       for value in corner_m.tolist()]
                      for rounded, corner_m in ((math.floor, low_m), (math.ceil, high_m)))
@@ -140,11 +148,13 @@ class Cells:
             own_high = own_low[0] + columns, own_low[1] + rows
             if all(map(operator.ge, low, own_low)) and all(map(operator.le, high, own_high)):
                 return self
-            low = [new - _MARGIN if new < old else old
+            low = [max(new - _MARGIN, -MOST_CELLS) if new < old else old
                    for new, old in zip(low, own_low, strict=True)]
-            high = [new + _MARGIN if new > old else old
+            high = [min(new + _MARGIN, MOST_CELLS) if new > old else old
                     for new, old in zip(high, own_high, strict=True)]
         shape = max(high[1] - low[1], 0), max(high[0] - low[0], 0)
+        if shape[0] * shape[1] - self.hits.size > most:
+            return None
         hits, looks = np.zeros(shape, np.uint8), np.zeros(shape, np.uint8)
         if self.hits.size:
             left, top = own_low[0] - low[0], own_low[1] - low[1]

@@ -11,9 +11,9 @@ from dataclasses import replace
 import numpy as np
 
 from plane_detector.mapping.association import reach_of
-from plane_detector.mapping.cells import Cells, are_near, resampled
+from plane_detector.mapping.cells import MOST_CELLS_IN_ALL, Cells, are_near, resampled
 from plane_detector.mapping.heights import heights_of, squared_misfits
-from plane_detector.mapping.map_plane import MapPlane, as_planes, centroids_of, frames_of
+from plane_detector.mapping.map_plane import MapPlane, as_planes, frames_of
 from plane_detector.mapping.registration import GATE
 
 # chosen: what a robot takes for one surface; steps of 2 cm stay by chi-squared or as shown apart.
@@ -32,22 +32,32 @@ def merge_touched(planes: Sequence[MapPlane], touched: np.ndarray, up: np.ndarra
     """
     known, gone = {plane.label: plane for plane in planes}, {}
     frames, labels = frames_of(planes), np.array([plane.label for plane in planes], int)
-    (normals, offsets), (_, centroids) = frames.coordinates, centroids_of(planes, frames)
+    found = as_planes(planes)
+    normals, offsets, centroids = found.normals, found.offsets_m, found.centroids_m
     own = np.flatnonzero(np.isin(labels, touched))
     own = own[np.argsort(labels[own])]
     away_m = np.maximum(abs(normals[own] @ centroids.T + offsets[own, None]),
                         abs(centroids[own] @ normals.T + offsets))
     close = (normals[own] @ normals.T > _MIN_COSINE) & (away_m < 2 * _MOST_DISTANCE_M)
     close[np.arange(len(own)), own] = False
-    for k, other_k in np.argwhere(close).tolist():
-        label, other = int(labels[own[k]]), int(labels[other_k])
+    touched_k, others_k = np.nonzero(close)
+    pairs = np.stack([own[touched_k], others_k])
+    # Most differ: what is left is compared one by one, as each merge changes the next.
+    larger, smaller = np.take_along_axis(pairs, np.argsort(-found.counts[pairs], axis=0), axis=0)
+    heights, covariances, _ = heights_of(frames.picked(larger), found, smaller)
+    alike = squared_misfits(frames.picked(larger), heights, covariances) < GATE
+    for label, other in labels[pairs.T[alike]].tolist():
         if label not in known or other not in known:
             continue
         larger, smaller = sorted((known[label], known[other]),
                                  key=lambda plane: -plane.cells.count)
         if not _are_one(larger, smaller, up):
             continue
-        known[larger.label] = _joined(larger, smaller)
+        left = MOST_CELLS_IN_ALL - sum(plane.cells.hits.size for plane in known.values())
+        cells = _joined_cells(larger, smaller, left + smaller.cells.hits.size)
+        if cells is None:
+            continue
+        known[larger.label] = _joined(larger, smaller, cells)
         del known[smaller.label]
         gone[smaller.label] = larger.label
         for plane in known.values():
@@ -81,25 +91,28 @@ def _are_one(larger: MapPlane, smaller: MapPlane, up: np.ndarray) -> bool:
                                                    reach_of(smaller, up))) > 0)
 
 
-def _joined(larger: MapPlane, smaller: MapPlane) -> MapPlane:
-    """Return a plane with the cells and the information of both, in the frame of the larger."""
+def _joined(larger: MapPlane, smaller: MapPlane, cells: Cells) -> MapPlane:
+    """Return a plane with these cells and the information of both, in the larger one's frame."""
     heights, covariances, _ = heights_of(frames_of([larger]), as_planes([smaller]), _ONE)
     information = np.linalg.inv([larger.covariance, covariances[0]])
     joint = np.linalg.inv(information.sum(axis=0))
     coefficients = joint @ (information[0] @ larger.coefficients + information[1] @ heights[0])
     return replace(larger, coefficients=coefficients, covariance=joint,
-                   cells=_joined_cells(larger, smaller), views=larger.views + smaller.views,
+                   cells=cells, views=larger.views + smaller.views,
                    first_seen_s=min(larger.first_seen_s, smaller.first_seen_s),
                    last_seen_s=max(larger.last_seen_s, smaller.last_seen_s),
                    first_image=min(larger.first_image, smaller.first_image),
                    votes=larger.votes + smaller.votes, apart=larger.apart | smaller.apart)
 
 
-def _joined_cells(larger: MapPlane, smaller: MapPlane) -> Cells:
+def _joined_cells(larger: MapPlane, smaller: MapPlane, most: int) -> Cells | None:
+    """Return the cells of both; None if there would be more new ones than ``most``."""
     (left, top), (rows, columns) = smaller.cells.low, smaller.cells.hits.shape
     corners = np.array([[u, v] for u in (left, left + columns) for v in (top, top + rows)])
     flat_m = larger.flat(smaller.points(smaller.cells.size_m * corners))
-    cells = larger.cells.grown(flat_m.min(axis=0), flat_m.max(axis=0))
+    cells = larger.cells.grown(flat_m.min(axis=0), flat_m.max(axis=0), most)
+    if cells is None:
+        return None
     # From u, v of the larger plane to those of the smaller one, both in cells.
     a, b, c = larger.coefficients
     along = np.array([larger.axes[0] + a * larger.axes[2], larger.axes[1] + b * larger.axes[2]])

@@ -23,9 +23,16 @@ from plane_detector.mapping.association import (
     fitting,
     visible,
 )
-from plane_detector.mapping.cells import Cells, View, extents, sampled, vote
+from plane_detector.mapping.cells import (
+    MOST_CELLS_IN_ALL,
+    Cells,
+    View,
+    extents,
+    sampled,
+    vote,
+)
 from plane_detector.mapping.heights import PlaneFrames, heights_of, with_pose_error
-from plane_detector.mapping.map_file import SavedMap, read_map, write_map
+from plane_detector.mapping.map_file import MOST_PLANES, SavedMap, read_map, write_map
 from plane_detector.mapping.map_plane import CLASSES, MapPlane, as_planes, frames_of, new_axes
 from plane_detector.mapping.merging import merge_touched
 from plane_detector.mapping.registration import (
@@ -40,8 +47,6 @@ from plane_detector.planes.outline import PlacedDetection
 from plane_detector.scale.estimate import RELATIVE
 from plane_detector.types import CameraIntrinsics, Detection, Planes
 
-MOST_PLANES = 2000
-"""More are not added: the memory is limited."""
 # The plane fitted to an exact surface differs by this, 1/m: rounding of depth and poses.
 _LEAST_SYSTEMATIC = 1.5e-4
 # chosen: rows on which points of found planes are sampled; the smallest plane that is found, of
@@ -83,7 +88,7 @@ class MapUpdate:
     explained: float  # share of the pixels of its planes that known planes explain
     jump_m: float = 0.0  # by how much the poses have jumped; 0: they have not
     subsumed: Mapping[int, int] = field(default_factory=dict)  # label: the one it is part of now
-    is_full: bool = False  # planes were left out because there are too many
+    is_full: bool = False  # planes were left out or do not grow: there is too much already
 
 
 @dataclass(frozen=True)
@@ -178,9 +183,14 @@ class PlaneMap:
         labels = np.array([subsumed.get(label, label) for label in labels.tolist()], int)
         return MapUpdate(labels, attempt.explained, jump_m, subsumed, is_full)
 
+    @property
+    def sure(self) -> tuple[MapPlane, ...]:
+        """The planes that were found again."""
+        return tuple(plane for plane in self.planes if plane.views > 1 or self.images < 2)
+
     def snapshot(self) -> MapSnapshot:
         """Return the planes that are sure, where the last pose sees them."""
-        sure = tuple(plane for plane in self.planes if plane.views > 1 or self.images < 2)
+        sure = self.sure
         # The error of the correction is common to all planes that the last image does not show.
         planes = as_planes([replace(plane, covariance=self._relative.get(
             plane.label, plane.covariance)) for plane in sure])
@@ -194,15 +204,19 @@ class PlaneMap:
 
     def save(self, path: Path, frame_id: str, stamp_s: float) -> None:
         """
-        Write the map to a file, whole or not at all.
+        Write the planes that are sure to a file, whole or not at all.
 
         Raises
         ------
         OSError
             It cannot be written.
+        ValueError
+            It would be too large to be read.
 
         """
-        write_map(path, SavedMap(self.planes, self.correction.transform, frame_id, stamp_s))
+        shown = self.snapshot()
+        write_map(path, SavedMap(shown.surfaces, self.correction.transform, frame_id, stamp_s),
+                  shown.planes)
 
     def lose_pose(self) -> None:
         """Note that the next pose may be off by as much as a jump, as after time jumped back."""
@@ -219,10 +233,14 @@ class PlaneMap:
         OSError
             The file cannot be read.
         ValueError
-            It is no whole map, or of another frame or a later version.
+            It is no whole map, or of another frame, of other cells or a later version.
 
         """
         saved = read_map(path, frame_id)
+        if saved.planes and saved.planes[0].cells.size_m != self.config.cell:
+            raise ValueError(f'{path} is a map with cells of {saved.planes[0].cells.size_m} m, '
+                             f'map.cell is {self.config.cell}: set it to that, or load another '
+                             'file')
         self.clear()
         self.planes = saved.planes
         self.correction = Correction.loaded(saved.transform)
@@ -269,13 +287,13 @@ class PlaneMap:
         planes, taken = list(self.planes), attempt.taken.copy()
         self._relative = self._fuse(planes, attempt, image, weight)
         is_new = (taken < 0) & image.is_clear
-        is_full = bool(is_new.sum() + len(planes) > MOST_PLANES)
+        has_too_many = bool(is_new.sum() + len(planes) > MOST_PLANES)
         fresh = np.flatnonzero(is_new)[:max(MOST_PLANES - len(planes), 0)]
         taken[fresh] = len(planes) + np.arange(len(fresh))
         planes += self._new(attempt, image, fresh)
         labels = np.array([planes[k].label if k >= 0 else 0 for k in taken], int)
-        self._vote(planes, attempt, image, taken, labels)
-        return tuple(planes), labels, is_full
+        has_too_large = self._vote(planes, attempt, image, taken, labels)
+        return tuple(planes), labels, has_too_many or has_too_large
 
     @staticmethod
     def _fuse(planes: list[MapPlane], attempt: _Attempt, image: _Image, weight: float
@@ -333,8 +351,8 @@ class PlaneMap:
                 for k in range(len(fresh))]
 
     def _vote(self, planes: list[MapPlane], attempt: _Attempt, image: _Image,
-              taken: np.ndarray, labels: np.ndarray) -> None:
-        """Vote the cells of the planes in view, in place."""
+              taken: np.ndarray, labels: np.ndarray) -> bool:
+        """Vote the cells of the planes in view, in place; return whether some cannot grow."""
         in_view = np.union1d(attempt.index, taken[taken >= 0])
         frames = frames_of([planes[k] for k in in_view])
         own = np.where(taken >= 0, np.searchsorted(in_view, taken), -1)
@@ -345,13 +363,18 @@ class PlaneMap:
         for k, beside in np.argwhere(image.beside).tolist():
             others[taken[k]].add(int(labels[beside]))
         is_found = np.bincount(own[own >= 0], minlength=len(in_view)).tolist()
-        cells, changed = [], []
+        cells, changed, has_too_large = [], [], False
+        left = MOST_CELLS_IN_ALL - sum(plane.cells.hits.size for plane in planes)
         for k, index in enumerate(in_view.tolist()):
             plane = planes[index]
             cells.append(plane.cells)
             changed.append({})
             if is_found[k]:
-                cells[-1] = plane.cells.grown(lows_m[k], highs_m[k])
+                grown = plane.cells.grown(lows_m[k], highs_m[k], left)
+                has_too_large |= grown is None
+                if grown is not None:
+                    cells[-1] = grown
+                    left -= grown.hits.size - plane.cells.hits.size
                 changed[-1] = {'views': plane.views + 1, 'last_seen_s': image.stamp_s,
                                'apart': plane.apart | (others[index] - {0, plane.label})}
         steps = attempt.view.steps(
@@ -359,6 +382,7 @@ class PlaneMap:
         for k, index in enumerate(in_view.tolist()):
             planes[index] = replace(planes[index], **changed[k], cells=vote(
                 attempt.view, steps[k], cells[k], taken == index, _TOLERANCE_M))
+        return has_too_large
 
     def _weight(self, before: Correction) -> float:
         """Return how much a view counts, 0 to 1, by how far the camera has moved."""

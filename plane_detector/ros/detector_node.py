@@ -13,7 +13,6 @@ import sys
 import time
 from collections.abc import Callable
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -29,7 +28,7 @@ from plane_detector.depth.observation import ModelOrFunction
 from plane_detector.pipeline import PlaneDetector
 from plane_detector.plain_text import plain
 from plane_detector.process import tidy_after_loading
-from plane_detector.ros import parameters
+from plane_detector.ros import parameters, qos
 from plane_detector.ros.diagnostics import (
     DiagnosticsPublisher,
     Health,
@@ -116,8 +115,10 @@ class PlaneDetectorNode(LifecycleNode):
         self._health = Health(self.get_logger())
         for service, describe in (('detect', describe_frame), ('get_planes', frame_to_json)):
             self.create_service(Trigger, f'~/{service}', partial(self._on_detect, describe),
+                                qos_profile=qos.service_profile(),
                                 callback_group=ReentrantCallbackGroup())
-        self.create_service(Trigger, '~/reset_tracking', self._on_reset_tracking)
+        self.create_service(Trigger, '~/reset_tracking', self._on_reset_tracking,
+                            qos_profile=qos.service_profile())
         self._diagnostics = DiagnosticsPublisher(self, self._statistics, self._describe)
         self._transitions = Transitions(self, self._load)
         if not self._live.settings.autostart:
@@ -153,7 +154,7 @@ class PlaneDetectorNode(LifecycleNode):
             self._outputs = OutputPublishers(self, OUTPUTS)
             if detector.config.map.enabled:
                 self._live_map = LiveMap(detector.config.map, self._live.settings.target_frame)
-                self._map = MapInterface(self, self._live_map, Path(detector.config.map.file))
+                self._map = MapInterface(self, self._live_map, detector.config.map.file)
             self._query = PointQuery(self, self._live_map)
             self._listening = self._needed_tf()
         except ImportError as error:
@@ -170,8 +171,7 @@ class PlaneDetectorNode(LifecycleNode):
                                          self._live_map)
         self._flow = FrameFlow(
             self._processor, self._outputs, self._query, self._live,
-            FrameRecords(self._statistics, self._requests, self._faults, self._health),
-            self._map)
+            FrameRecords(self._statistics, self._requests, self._faults, self._health))
         for line in introduction(detector.source.facts, topics,
                                  self.resolve_topic_name('~/planes')):
             self.get_logger().info(line)
@@ -195,6 +195,8 @@ class PlaneDetectorNode(LifecycleNode):
         """Destroy the subscriptions and drop the frames being processed."""
         self._unsubscribe()
         self._flow.drop()
+        if self._map is not None:
+            self._map.publish()
         self.get_logger().info('inactive')
         return super().on_deactivate(state)
 

@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -69,7 +68,8 @@ class FrameProcessor:
 
         """
         found = self.begin(frame)()
-        return found, make_messages(found, wanted) | make_map_messages(found.map_view)
+        view = self.map.due_view() if self.map else None
+        return found, make_messages(found, wanted) | make_map_messages(view)
 
     def begin(self, frame: Frame) -> Callable[[], DetectedFrame]:
         """
@@ -104,11 +104,11 @@ class FrameProcessor:
                 rgb=seen.rgb, settings=settings, config=seen.config,
                 to_base=pose and pose.to_base, pose_problem=problem,
                 distortion=converted.distortion, timer=timer)
-            if self.map is None:
-                return result
-            with timer('map'):
-                # 4. One lasting plane for one surface.
-                return replace(result, map_view=self.map.add(result, seen.epoch))
+            if self.map is not None:
+                with timer('map'):
+                    # 4. One lasting plane for one surface.
+                    self.map.add(result, seen.epoch)
+            return result
         return find_planes
 
 

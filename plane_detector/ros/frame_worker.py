@@ -22,7 +22,6 @@ from plane_detector.ros.fault_log import FaultLog
 from plane_detector.ros.frame_processor import FrameProcessor, make_messages, placement_problem
 from plane_detector.ros.inputs.synchronizer import Frame, stamp_text
 from plane_detector.ros.live_settings import LiveSettings
-from plane_detector.ros.map_interface import MapInterface
 from plane_detector.ros.outputs.frame import DetectedFrame
 from plane_detector.ros.outputs.topics import OutputPublishers
 from plane_detector.ros.point_query import PointQuery
@@ -218,10 +217,10 @@ class FrameFlow:
     """
 
     def __init__(self, processor: FrameProcessor, outputs: OutputPublishers, query: PointQuery,
-                 live: LiveSettings, records: FrameRecords, planes_map: MapInterface | None):
+                 live: LiveSettings, records: FrameRecords):
         self._processor: FrameProcessor | None = processor
         self._outputs, self._query, self._live = outputs, query, live
-        self._records, self._map = records, planes_map
+        self._records = records
         self.worker = FrameWorker(self._begin, overlaps=processor.has_network)
 
     def accept(self, frame: Frame) -> None:
@@ -233,7 +232,7 @@ class FrameFlow:
         requests = self._records.requests
         is_requested = requests.are_waiting or self._query.is_waiting
         if not is_requested and (self._live.settings.mode != 'continuous' or (
-                self._map is None and not self._outputs.wanted())):
+                self._processor.map is None and not self._outputs.wanted())):
             return
         if self.worker.put((requests.accept(), frame)):
             self._records.statistics.add_dropped(1)
@@ -269,8 +268,6 @@ class FrameFlow:
             with current_stop().uncut():  # all of this or, after a stop, nothing of it
                 start_s = time.perf_counter()
                 self._outputs.publish(messages)
-                if self._map is not None:
-                    self._map.publish(found.map_view)
                 if problem := placement_problem(found, wanted):
                     raise ValueError(problem)
                 self._query.answer(found)

@@ -5,8 +5,8 @@
 from __future__ import annotations
 
 import threading
+from copy import copy
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from std_msgs.msg import Header
@@ -16,9 +16,10 @@ from plane_detector.mapping.map_plane import MapPlane
 from plane_detector.mapping.plane_map import MapUpdate, PlaneMap
 from plane_detector.mapping.registration import MOST_CORRECTION_M
 from plane_detector.ros.outputs.frame import DetectedFrame, MapView
+from plane_detector.ros.outputs.topics import make_map_messages
 from plane_detector.types import Planes
 
-# chosen: the map is published at most twice a second, by the stamps of the images.
+# chosen: the map is published at most twice a second; in a bag, by the stamps of the images.
 PERIOD_S = 0.5
 # chosen: how far off a plane of the map a click may be: a click is on a surface that is seen.
 CLICK_REACH_M = 0.1
@@ -34,35 +35,36 @@ class LiveMap:
             raise ValueError('map.enabled needs target_frame: a frame that does not move, such as '
                              'odom or map')
         self._map, self._frame_id, self._lock = PlaneMap(config), target_frame, threading.Lock()
-        self._epoch = self._edition = 0
-        self._published_s = -np.inf
+        self._epoch = 0
+        self._header, self._stamp_s = Header(frame_id=target_frame), 0.0  # of the last image
+        self._update: MapUpdate | None = None  # by it; None: cleared or loaded since
+        # What has changed since the last view, and when that was due.
+        self._has_changed, self._due_s = False, -np.inf
         self._subsumed: dict[int, int] = {}
-        self._last: tuple[Header, MapUpdate] | None = None
-        self._last_s = 0.0  # stamp of that header
         self._events: list[str] = []
         self._last_jump_m = 0.0
         self._still_images = 0
         self._obstacle = ''
         self._without_pose = 0
 
-    def add(self, frame: DetectedFrame, epoch: int = 0) -> MapView | None:
-        """Add an image if it can be; return the map if it is to be published now."""
+    def add(self, frame: DetectedFrame, epoch: int = 0) -> None:
+        """Add an image if it can be."""
         if frame.pose is None:
             self._without_pose += bool(frame.pose_problem)
             self._obstacle = frame.pose_problem or (
                 f'no map: target_frame {self._frame_id} is the frame of the camera; set it to one '
                 'that does not move, such as odom or map')
-            return None
+            return
         with self._lock:
             if epoch != self._epoch:  # time jumped back: nothing is known of the pose
-                self._epoch, self._published_s = epoch, -np.inf
+                self._epoch, self._due_s = epoch, -np.inf
                 self._map.lose_pose()
             before = self._map.correction.pose
             try:
                 update = self._map.update(frame)
             except ValueError as error:
                 self._obstacle = str(error)
-                return None
+                return
             self._obstacle = ''
             is_still = before is not None and np.array_equal(
                 before.translation_m, frame.pose.translation_m)
@@ -72,24 +74,21 @@ class LiveMap:
                 self._events.append(f'the poses have jumped by {100 * update.jump_m:.0f} cm: all '
                                     'planes of the map moved along')
             self._subsumed.update(update.subsumed)
-            self._last, self._last_s = (frame.target_header, update), frame.stamp_s
-            return None if abs(self._last_s - self._published_s) < PERIOD_S else self._view()
+            self._header, self._stamp_s = frame.target_header, frame.stamp_s
+            self._update, self._has_changed = update, True
 
-    def rest(self) -> MapView | None:
-        """Return the map if images were added since it was returned last."""
+    def take_view(self) -> MapView | None:
+        """Return the map if it has changed since it was returned last."""
         with self._lock:
-            is_new = self._last is not None and self._published_s != self._last_s
-            return self._view() if is_new else None
+            if not self._has_changed:
+                return None
+            self._has_changed, self._due_s = False, self._stamp_s
+            subsumed, self._subsumed = self._subsumed, {}
+            return MapView(self._header, self._map.snapshot(), subsumed)
 
-    def view(self, stamp: Any) -> MapView:
-        """Return the map as it is now, with this builtin_interfaces/Time."""
-        with self._lock:
-            return MapView(Header(stamp=stamp, frame_id=self._frame_id), self._map.snapshot(),
-                           edition=self._edition)
-
-    def is_current(self, view: MapView) -> bool:
-        """Whether the map was neither cleared nor loaded since."""
-        return view.edition == self._edition
+    def due_view(self) -> MapView | None:
+        """Return the map as :meth:`take_view`, at most twice a second by the stamps of images."""
+        return self.take_view() if abs(self._stamp_s - self._due_s) >= PERIOD_S else None
 
     def plane_at(self, point_m: np.ndarray) -> tuple[Planes, MapPlane]:
         """
@@ -111,23 +110,31 @@ class LiveMap:
     def clear(self) -> str:
         """Discard the map; return what was done."""
         with self._lock:
-            count = len(self._map.planes)
+            count = len(self._map.sure)
             self._map.clear()
-            self._begin_edition()
+            self._begin()
         return f'{count} planes are gone'
 
     def save(self, path: Path) -> str:
-        """Write the map to a file; return what was done. OSError if it cannot be written."""
+        """
+        Write the map as it is shown to a file; return what was done.
+
+        OSError or ValueError if it cannot be written.
+        """
         with self._lock:
-            self._map.save(path, self._frame_id, self._last_s)
-            return f'{len(self._map.planes)} planes are in {path.absolute()}'
+            self._map.save(path, self._frame_id, self._stamp_s)
+            return f'{len(self._map.sure)} planes are in {path.absolute()}'
 
     def load(self, path: Path) -> str:
         """Replace the map by that of a file; on an error, OSError or ValueError, it stays."""
         with self._lock:
-            self._map.load(path, self._frame_id)
-            self._begin_edition()
-            return f'{len(self._map.planes)} planes from {path.absolute()}'
+            loaded = copy(self._map)
+            loaded.load(path, self._frame_id)
+            # What no message can be made of is no map, however that comes.
+            make_map_messages(MapView(self._header, loaded.snapshot()))
+            self._map = loaded
+            self._begin()
+            return f'{len(self._map.sure)} planes from {path.absolute()}'
 
     def take_events(self) -> list[str]:
         """Return what has happened since the last call: jumps of the poses."""
@@ -138,12 +145,12 @@ class LiveMap:
     def facts(self) -> dict[str, str]:
         """Return what the diagnostics say of the map."""
         with self._lock:
-            facts = {'map_planes': str(len(self._map.planes)),
+            facts = {'map_planes': str(len(self._map.sure)),
                      'map_images_without_pose': str(self._without_pose)}
-            if self._last is not None:
+            if self._update is not None:
                 moved_m, turned_deg = self._map.correction.size()
                 facts['map_correction'] = f'{100 * moved_m:.1f} cm, {turned_deg:.2f} degrees'
-                facts['map_explained'] = f'{self._last[1].explained:.0%}'
+                facts['map_explained'] = f'{self._update.explained:.0%}'
             if self._last_jump_m:
                 facts['map_last_jump'] = f'{100 * self._last_jump_m:.0f} cm'
             return facts
@@ -151,11 +158,13 @@ class LiveMap:
     def problem(self) -> str:
         """Return what is wrong with the poses or the map, and what to do; empty if nothing."""
         with self._lock:
-            if self._obstacle or self._last is None:
+            if self._obstacle or self._update is None:
                 return self._obstacle
-            if self._last[1].is_full:
-                return (f'the map has {len(self._map.planes)} planes and takes no more: call '
-                        '~/map/clear, or increase segmentation.min_plane_share')
+            if self._update.is_full:
+                count = sum(plane.cells.hits.size for plane in self._map.planes)
+                return (f'the map has {len(self._map.planes)} planes of {count / 1e6:.1f} million '
+                        'cells and takes no more: call ~/map/clear, or increase map.cell or '
+                        'segmentation.min_plane_share')
             moved_m, _ = self._map.correction.size()
             if moved_m > MOST_CORRECTION_M:
                 hint = (f'; does {self._frame_id} move with the camera?'
@@ -168,10 +177,7 @@ class LiveMap:
                         f'{100 * self._map.config.pose_jitter:.1f} cm: set it to {jitter_m:.3f}')
             return ''
 
-    def _view(self) -> MapView:
-        self._published_s = self._last_s
-        subsumed, self._subsumed = self._subsumed, {}
-        return MapView(self._last[0], self._map.snapshot(), subsumed, self._edition)
-
-    def _begin_edition(self) -> None:
-        self._edition, self._published_s, self._subsumed = self._edition + 1, -np.inf, {}
+    def _begin(self) -> None:
+        """Note that this is another map than before."""
+        self._update, self._subsumed, self._has_changed = None, {}, True
+        self._due_s = -np.inf

@@ -35,10 +35,14 @@ class PointQuery:
             PoseStamped, '~/clicked_plane', qos.output_profile(),
             event_callbacks=qos.SILENT_PUBLISHER,
             qos_overriding_options=qos.overriding_options())
-        self._subscription = node.create_subscription(
-            PointStamped, 'clicked_point', self._on_click, 10,
-            event_callbacks=qos.SILENT_SUBSCRIPTION,
-            qos_overriding_options=qos.overriding_options())
+        try:
+            self._subscription = node.create_subscription(
+                PointStamped, 'clicked_point', self._on_click, 10,
+                event_callbacks=qos.SILENT_SUBSCRIPTION,
+                qos_overriding_options=qos.overriding_options())
+        except Exception:  # a wrong qos_overrides parameter
+            node.destroy_lifecycle_publisher(self._publisher)
+            raise
 
     @property
     def is_waiting(self) -> bool:
@@ -96,9 +100,11 @@ def point_in_camera(result: DetectedFrame, click: PointStamped) -> np.ndarray:
     """
     Return a clicked point (3,) in the frame of the image.
 
-    Raises ValueError if it is neither in that frame nor in that of the outputs.
+    Raises ValueError if it is neither in that frame nor in that of the outputs, or not finite.
     """
     point_m = np.array([click.point.x, click.point.y, click.point.z])
+    if not np.isfinite(point_m).all():
+        raise ValueError(f'the point {point_m.tolist()} is not finite')
     frame = click.header.frame_id
     if frame == result.header.frame_id:
         return point_m

@@ -11,6 +11,9 @@ from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallba
 from rclpy.qos import DurabilityPolicy, QoSPolicyKind, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
+# chosen: more calls than anybody makes at once; those above MOST_CALLS are refused at once.
+_CALLS = 256
+
 SILENT_PUBLISHER = PublisherEventCallbacks(use_default_callbacks=False)
 SILENT_SUBSCRIPTION = SubscriptionEventCallbacks(use_default_callbacks=False)
 """
@@ -30,6 +33,15 @@ def overriding_options(settle: Callable[[QoSProfile], SetParametersResult] | Non
     return QoSOverridingOptions((QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH,
                                  QoSPolicyKind.RELIABILITY, QoSPolicyKind.DURABILITY),
                                 callback=settle)
+
+
+def service_profile() -> QoSProfile:
+    """
+    Return the profile of services, requests and answers.
+
+    Of more calls at once than its depth, some would never be answered.
+    """
+    return QoSProfile(depth=_CALLS, reliability=ReliabilityPolicy.RELIABLE)
 
 
 def output_profile(latched: bool = False) -> QoSProfile:

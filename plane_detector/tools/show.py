@@ -121,6 +121,9 @@ class PlanePrinter(Node):
         own = self.topic
         if self.count_publishers(own):
             return f'no planes on {own} yet: the log of the node says what is missing'
+        if own.endswith('/map/planes') and self.count_publishers(f'/{self._name}/planes'):
+            return (f'nobody publishes {own}: /{self._name} keeps no map; set its parameters '
+                    'map.enabled to true, and target_frame')
         others = [name.removesuffix('/planes') for name, _ in self.get_topic_names_and_types()
                   if name.endswith('/planes') and self.count_publishers(name)]
         there = f'there is: --node {" or --node ".join(others)}' if others else 'is it running?'

@@ -19,11 +19,12 @@ import onnxruntime
 from common import Row, table
 from disk import replays
 from fields import fields
+from maps import maps
 from soak import soak
 
 from plane_detector.evaluation.benchmark.report import commit, machine
 
-GROUPS = {'fields': fields, 'replays': replays}
+GROUPS = {'fields': fields, 'maps': maps, 'replays': replays}
 
 
 def main() -> int:

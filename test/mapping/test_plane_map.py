@@ -11,13 +11,16 @@ from map_helpers import map_plane
 
 from plane_detector import Config, PlaneDetector
 from plane_detector.config import DepthConfig, MapConfig
-from plane_detector.evaluation.benchmark.map import record, score
+from plane_detector.evaluation.benchmark.map import along_face, record, score
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
+from plane_detector.evaluation.scenes.rendering import box, camera_rotation, render
 from plane_detector.evaluation.scenes.rooms import single_wall
-from plane_detector.evaluation.scenes.walks import walk, with_errors
+from plane_detector.evaluation.scenes.walks import QVGA, walk, walls, with_errors
 from plane_detector.geometry.rigid_transform import RigidTransform
+from plane_detector.mapping import merging, plane_map
 from plane_detector.mapping.association import Pairs, assign
 from plane_detector.mapping.heights import with_pose_error
+from plane_detector.mapping.map_file import SavedMap, write_map
 from plane_detector.mapping.map_plane import as_planes
 from plane_detector.mapping.merging import merge_touched
 from plane_detector.mapping.plane_map import FORGETTING, PlacedDetection, PlaneMap
@@ -246,6 +249,16 @@ def test_labels_are_not_used_again_after_clear():
     assert update.labels.min() > updates[-1].labels.max()
 
 
+def test_labels_of_a_file_are_not_used_again(tmp_path):
+    planes, _ = run(2)
+    planes.save(tmp_path / 'map.json', 'odom', 0.0)
+    other = PlaneMap()
+    other.load(tmp_path / 'map.json', 'odom')
+    # Far away, where none of them is.
+    _, (update,) = mapped(recording().detections[:1], sideways(1000.0), other)
+    assert update.labels.min() > max(plane.label for plane in planes.planes)
+
+
 @pytest.mark.parametrize('images', [0, 3])
 def test_an_image_without_planes_changes_nothing(images):
     planes, _ = run(images)
@@ -271,3 +284,72 @@ def test_both_sides_of_a_thin_panel_are_two_planes():
              and plane.cells.area_m2 > 0.5]
     assert len(sides) == 2
     assert sides[0].axes[2] @ sides[1].axes[2] < -0.99
+
+
+def test_a_plane_seen_once_in_a_long_walk_is_forgotten_after_a_load(tmp_path):
+    """After as many images as without: those before the file do not count."""
+    planes, _ = run(1)
+    planes.images = 1000
+    planes.planes = tuple(replace(plane, first_image=999) for plane in planes.planes)
+    write_map(tmp_path / 'map.json', SavedMap(
+        planes.planes, RigidTransform.identity(), 'odom', 0.0), as_planes(planes.planes))
+    planes.load(tmp_path / 'map.json', 'odom')
+    before = {plane.label for plane in planes.planes}
+    mapped([recording().detections[0]] * 31, sideways(*[1000.0] * 31), planes)  # sees none of them
+    assert not before & {plane.label for plane in planes.planes}
+
+
+def test_a_map_whose_cells_are_used_up_grows_no_more_and_says_so(monkeypatch):
+    """Room for the first two planes only: the others have no cells, and go."""
+    whole, _ = run(1)
+    sizes = [plane.cells.hits.size for plane in whole.planes]
+    monkeypatch.setattr(plane_map, 'MOST_CELLS_IN_ALL', sum(sizes[:2]))
+    planes, updates = run(3)
+    assert [update.is_full for update in updates] == [True] * 3
+    assert sum(plane.cells.hits.size for plane in planes.planes) <= sum(sizes[:2])
+    assert len(planes.planes) == 2
+
+
+def test_planes_are_not_merged_into_more_cells_than_there_may_be(monkeypatch):
+    """Two pieces of the floor 10 m apart: around both there are 220 x 20 cells and a margin."""
+    pieces = [piece(1, 0.0), piece(2, 10.0)]
+    for most, count in ((228 * 20, 1), (228 * 20 - 1, 2)):
+        monkeypatch.setattr(merging, 'MOST_CELLS_IN_ALL', most)
+        merged, _ = merge_touched(pieces, np.array([1]), np.array([0.0, 0.0, 1.0]))
+        assert len(merged) == count
+
+
+THINGS = {'crate': box([0, 1.6, 0.3], [0.6, 0.6, 0.6], 20),
+          'picture': box([0.3, 2.19, 1.3], [0.9, 0.02, 0.7])}
+
+
+@pytest.mark.parametrize('was_empty', [True, False])
+@pytest.mark.parametrize('name', THINGS)
+def test_what_is_taken_away_is_gone_within_twenty_looks(name, was_empty):
+    """Also where the wall and the floor behind it were seen before it came."""
+    rng, thing, there = np.random.default_rng(1), THINGS[name], range(12, 36)
+    room = walls(np.array([4.4, 4.4, 2.5]))
+    detector, planes = PlaneDetector(Config(depth=DepthConfig(source='topic'))), PlaneMap()
+    for k in range(0 if was_empty else there[0], there[-1] + 21):
+        pose = RigidTransform(camera_rotation(12 * np.sin(0.5 * k), -18 + 3 * np.cos(0.7 * k), 0),
+                              np.array([0.15 * np.sin(0.4 * k), -0.9, 1.35]))
+        scene = render(room + (thing if k in there else []), pose.rotation, pose.translation_m,
+                       QVGA, rng)
+        found = detector.detect(scene.rgb, QVGA, with_disparity_noise(scene.depth_m, 0.001, rng),
+                                scene.gravity_camera)
+        planes.update(PlacedDetection(found, QVGA, pose, 0.1 * k))
+        if k == there[-1]:
+            of_thing = {plane.label for plane in planes.planes
+                        if any(covers(face, plane) for face in thing)}
+    assert of_thing
+    assert not of_thing & {plane.label for plane in planes.planes}
+    assert not any(covers(face, plane) for face in thing for plane in planes.planes)
+
+
+def covers(face, plane):
+    """Return whether most cells of a plane are on a rectangle, and not on the wall behind it."""
+    along = along_face(face, plane.points(plane.cells.middles_m()))
+    sides = [np.linalg.norm(edge) + 0.04 for edge in (face.edge_u, face.edge_v)]
+    is_on = ((abs(along[:, 2]) < 0.01) & (along[:, :2] > -0.04).all(axis=1)
+             & (along[:, :2] < sides).all(axis=1))
+    return is_on.mean() > 0.5

@@ -80,6 +80,17 @@ def test_the_prior_grows_with_the_way_and_not_with_the_rate_of_images():
     assert many.drift[3, 3] == pytest.approx(once[3, 3])
 
 
+def test_a_rotation_that_is_off_shifts_a_camera_that_moves():
+    """About z, of a camera that has moved along x: along y, by the angle times the way."""
+    start, variance = RigidTransform.identity(), np.radians(1.0) ** 2
+    before = Correction(start, np.zeros((6, 6)), start, np.diag([0, 0, variance, 0, 0, 0]), start)
+    moved = RigidTransform(np.eye(3), np.array([2.0, 0.0, 0.0]))
+    drift = predict(before, moved, MapConfig(pose_drift=0.0)).drift
+    assert drift[4, 4] == pytest.approx(4 * variance)
+    assert drift[4, 2] == drift[2, 4] == pytest.approx(2 * variance)
+    assert drift[3, 3] == drift[5, 5] == 0
+
+
 def test_motion_is_distance_and_angle():
     turn = RigidTransform.from_quaternion((0, 0, np.sin(0.1), np.cos(0.1)), (0.3, 0.4, 0))
     assert motion(RigidTransform.identity(), turn) == pytest.approx((0.5, 0.2))

@@ -14,7 +14,7 @@ from map_helpers import map_plane
 
 from plane_detector.geometry.rigid_transform import RigidTransform
 from plane_detector.mapping.map_file import SavedMap, write_map
-from plane_detector.mapping.map_plane import new_axes
+from plane_detector.mapping.map_plane import as_planes, new_axes
 from plane_detector.tools.export import floor_plan, main
 from plane_detector.types import PlaneClass
 
@@ -49,7 +49,7 @@ def test_a_doorway_is_a_gap_and_the_table_has_height_and_size(saved):
 
 
 def test_files(saved, tmp_path, capsys):
-    write_map(tmp_path / 'map.json', saved)
+    write_map(tmp_path / 'map.json', saved, as_planes(saved.planes))
     names = {option: tmp_path / name for option, name in (
         ('--floor-plan', 'plan.svg'), ('--geojson', 'plan.json'), ('--ply', 'planes.ply'),
         ('--keep-out', 'keep_out.yaml'))}
@@ -77,7 +77,7 @@ def test_files(saved, tmp_path, capsys):
 
 @pytest.mark.parametrize('name', ['keep out.yaml', 'keep #2.yaml', 'a: b.yaml', "it's.yaml"])
 def test_nav2_finds_the_wall_where_it_stands(saved, tmp_path, name):
-    write_map(tmp_path / 'map.json', saved)
+    write_map(tmp_path / 'map.json', saved, as_planes(saved.planes))
     assert main([str(tmp_path / 'map.json'), '--keep-out', str(tmp_path / name)]) == 0
     facts = yaml.safe_load((tmp_path / name).read_text())
     mask = cv2.imread(str(tmp_path / facts['image']), cv2.IMREAD_UNCHANGED)
@@ -94,7 +94,7 @@ def test_nav2_finds_the_wall_where_it_stands(saved, tmp_path, name):
 
 def test_nothing_is_written_over_the_map_or_another_file(saved, tmp_path, capsys):
     file = tmp_path / 'map.json'
-    write_map(file, saved)
+    write_map(file, saved, as_planes(saved.planes))
     before = file.read_text()
     for words in (['--geojson', 'map.json'], ['--ply', 'a', '--geojson', 'a'],
                   ['--keep-out', 'a.pgm'], ['--keep-out', 'a.yaml', '--ply', 'a.pgm']):

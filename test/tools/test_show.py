@@ -114,6 +114,24 @@ def test_json_is_a_line_with_units():
     assert json.loads(planes_to_json(two_planes(), is_metric=False))['units']['d'] is None
 
 
+def test_json_of_a_map_leaves_out_what_is_part_of_another_plane(room):
+    found, planes = room(3), PlaneMap()
+    detection = PlaneDetector(Config(depth=DepthConfig(source='topic'))).detect(
+        found.rgb, found.intrinsics, found.depth_m)
+    planes.update(PlacedDetection(detection, found.intrinsics, RigidTransform.identity(), 0.0))
+    msg = map_planes_to_msg(MapView(Header(frame_id='odom'), planes.snapshot(), {99: 1}))
+    labels = [plane['label'] for plane in json.loads(planes_to_json(msg))['planes']]
+    assert labels == [plane.label for plane in planes.planes]
+
+
+def test_without_a_map_it_says_which_parameters_make_one(robot):
+    printer = PlanePrinter('/plane_detector', io.StringIO(), of_map=True, context=robot.context)
+    robot.add(printer)
+    robot.publish('/plane_detector/planes', two_planes())
+    assert robot.spin(lambda: 'map.enabled to true, and target_frame' in printer.why_nothing())
+    assert '--node' not in printer.why_nothing()
+
+
 def test_json_is_printed_live(robot):
     printed = io.StringIO()
     robot.add(PlanePrinter('/plane_detector', printed, as_json=True, context=robot.context))

@@ -98,7 +98,7 @@ def _add_cells(walked: Walk, index: int, scene: Scene, surfaces: np.ndarray,
     points_m = walked.poses[index].points(rays * scene.depth_m[..., None].astype(float))
     for surface in np.unique(surfaces):
         if 0 <= surface < len(walked.surfaces):
-            flat_m = _along(walked.surfaces[surface], points_m[surfaces == surface])[:, :2]
+            flat_m = along_face(walked.surfaces[surface], points_m[surfaces == surface])[:, :2]
             cells[surface].append(np.unique(np.floor(flat_m / CELL_M).astype(int), axis=0))
 
 
@@ -106,7 +106,7 @@ def _least_side_m(face: Rectangle) -> float:
     return min(np.linalg.norm(face.edge_u), np.linalg.norm(face.edge_v))
 
 
-def _along(face: Rectangle, points_m: np.ndarray) -> np.ndarray:
+def along_face(face: Rectangle, points_m: np.ndarray) -> np.ndarray:
     """Return points (N, 3) along the edges and the normal of a rectangle, metres."""
     u, v = (edge / np.linalg.norm(edge) for edge in (face.edge_u, face.edge_v))
     return (points_m - face.corner) @ np.array([u, v, np.cross(u, v)]).T
@@ -217,7 +217,7 @@ def _off_surface_m(face: Rectangle, points_m: np.ndarray, normal: np.ndarray) ->
     across = np.cross(u, v) / np.linalg.norm(np.cross(u, v))
     if abs(across @ normal) < SAME_SIDE:
         return np.inf
-    along = _along(face, points_m)
+    along = along_face(face, points_m)
     size = np.array([np.linalg.norm(u), np.linalg.norm(v)])
     is_on = ((abs(along[:, 2]) < NEAR_M) & (along[:, :2] > -CELL_M).all(axis=1)
              & (along[:, :2] < size + CELL_M).all(axis=1))
@@ -294,7 +294,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 HEADER = ('case', 'surfaces', 'found', 'pieces', 'planes', 'of no surface', 'left of what went',
-          'IoU', 'offset 95 % (cm)', 'chi-squared / 3', 'switches', 'jumps', 'ms: median, worst')
+          'IoU', 'offset 95 % (cm)', 'chi-squared / 3: median, mean',
+          'switches', 'jumps', 'ms: median, worst')
 
 
 def run(options: argparse.Namespace) -> None:
@@ -328,6 +329,7 @@ def row(title: str, total: Score) -> list[str]:
             f'{total.pieces / max(total.found, 1):.2f}', str(total.planes),
             f'{total.of_none / max(total.planes, 1):.1%}', str(total.left),
             f'{np.median(total.overlaps):.3f}', f'{100 * np.quantile(total.offsets_m, .95):.2f}',
-            f'{np.median(total.squared):.2f}', f'{total.switches / max(total.seen, 1):.1%}',
+            f'{np.median(total.squared):.2f}, {np.mean(total.squared):.2f}',
+            f'{total.switches / max(total.seen, 1):.1%}',
             str(total.jumps), f'{1e3 * np.median(total.seconds):.1f}, '
             f'{1e3 * np.max(total.seconds):.1f}']

@@ -30,7 +30,6 @@ class MapView:
     snapshot: MapSnapshot
     # Labels that are gone since the last view, and the planes that they are part of now.
     subsumed: Mapping[int, int] = field(default_factory=dict)
-    edition: int = 0  # how often the map had been cleared or loaded
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,7 +44,6 @@ class DetectedFrame(PlacedDetection):
     pose_problem: str = ''  # why the pose in ``target_frame`` is not known; empty if it is
     distortion: Distortion = NO_DISTORTION  # that the image still has
     timer: StageTimer = field(default_factory=StageTimer)  # of the stages on this frame
-    map_view: MapView | None = None  # with this image, if it is to be published now
 
     @cached_property
     def target_header(self) -> Header:

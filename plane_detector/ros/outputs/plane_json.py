@@ -26,7 +26,8 @@ def planes_to_json(msg: PointCloud2, is_metric: bool = True) -> str:
     Return stamp, frame, units and planes as one line of JSON, the largest plane first.
 
     Names are those of the fields of ``~/planes``; the class is its name. The unit of lengths is
-    null while metres are not known.
+    null while metres are not known. Of ``~/map/planes``, those that are part of another are left
+    out.
     """
     length = 'm' if is_metric else None
     return json.dumps({
@@ -38,6 +39,8 @@ def planes_to_json(msg: PointCloud2, is_metric: bool = True) -> str:
 
 def _as_dicts(table: np.ndarray) -> list[dict[str, object]]:
     """Return the rows of ``~/planes`` with plain values."""
+    if 'subsumed_by' in table.dtype.names:
+        table = table[table['subsumed_by'] == 0]
     column = {name: table[name].tolist() for name in table.dtype.names}
     rounded = {name: [round(value, _DIGITS) for value in column[name]]
                for names in _FIELDS.values() for name in names}

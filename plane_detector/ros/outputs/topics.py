@@ -125,6 +125,11 @@ class OutputPublishers:
             self.destroy()
             raise
 
+    @property
+    def are_activated(self) -> bool:
+        """Whether what is published reaches anybody: the node is active."""
+        return all(publisher.is_activated for publisher in self._publishers.values())
+
     def wanted(self) -> list[str]:
         """Return the names of the outputs that have subscribers."""
         return [name for name, publisher in self._publishers.items()

@@ -290,7 +290,7 @@ def _process(frames: Iterable[ReadFrame], processor: FrameProcessor, writer: Bag
     except BagError as error:
         tally.unread = str(error)
     if live_map:  # the map after the last image, whenever it was published before
-        for name, msg in make_map_messages(live_map.rest()).items():
+        for name, msg in make_map_messages(live_map.take_view()).items():
             writer.write(_topic(name), time_ns, msg)
         tally.map_problem = live_map.problem()
     tally.seconds = time.perf_counter() - begun_s

@@ -134,7 +134,7 @@ def test_the_grid_is_level_below_the_camera_or_in_the_base_frame():
     corner = RigidTransform.from_quaternion((turn.x, turn.y, turn.z, turn.w),
                                             (place.x, place.y, place.z))
     all_m, labels = scene.points(), scene.depth_and_labels()[1]
-    for kind, value in ((scene.FLOOR, 0), (scene.BALL, 100)):
+    for kind, value in ((scene.FLOOR, 0), (scene.WALL, 100)):
         of_kind = corner.inverse().points(all_m[(labels == kind) & (all_m[..., 2] < 4.5)])
         if kind == scene.FLOOR:
             np.testing.assert_allclose(of_kind[:, 2], 0, atol=1e-5)
