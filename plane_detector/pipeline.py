@@ -219,8 +219,8 @@ class PlaneDetector:
         with timer('depth'):
             seen = self.source.observe(rgb, intrinsics, depth_m, self.config)
             if seen.is_measured:
-                seen = seen.with_values(without_constants(seen.prediction.values,
-                                                          metric_noise_floor(self.config)))
+                seen = seen.without_constants(without_constants(
+                    seen.prediction.values, metric_noise_floor(self.config)))
             if covered is not None:
                 seen = seen.restricted_to(covered)
         return replace(seen, stamp_s=stamp_s, epoch=epoch, timer=timer,
@@ -306,6 +306,7 @@ class PlaneDetector:
                          systematic_noise=planes.systematic_noise, depth_m=depth_m,
                          scale_method=scale.unit_method, is_measured=seen.is_measured,
                          scale_note=_joined([str(scale), input_note]), input_note=input_note,
+                         constant_note=seen.constant_note,
                          scale_event=state.scale.event, shapes=shapes,
                          shape_labels=shape_labels, shape_note=shape_note,
                          gravity_camera=around.gravity.gravity_camera,
