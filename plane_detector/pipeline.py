@@ -429,7 +429,7 @@ def _noise_floor(seen: Observation, config: Config) -> Noise:
     """Return the lower bound of the noise, in the unit of the disparity."""
     if seen.output not in UNITLESS and (
             config.segmentation.disparity_noise or not seen.noise_share):
-        return metric_noise_floor(config)
+        return metric_noise_floor(config, is_measured=seen.is_measured)
     if config.segmentation.method == 'paper' and seen.output in UNITLESS:
         raise ValueError('segmentation.method paper needs depth in metres, but the network gives '
                          f'{seen.output}')
