@@ -31,7 +31,7 @@ from plane_detector.geometry.disparity import UNITLESS, to_disparity
 from plane_detector.geometry.gravity import measured_direction, sign_question
 from plane_detector.geometry.projection import as_depth, as_image
 from plane_detector.ground.ground import find_ground
-from plane_detector.planes.measurement import measure_planes
+from plane_detector.planes.measurement import measure_planes, missing_planes_note
 from plane_detector.planes.normal_map import reoriented_by_normals
 from plane_detector.planes.patches import fill_patches
 from plane_detector.planes.ray_planes import ray_planes
@@ -303,7 +303,8 @@ class PlaneDetector:
                 shape_labels)
         input_note = _joined([seen.input_note, _sign_note(planes, around, scale)])
         return Detection(planes.planes, labels, planes.disparity_noise,
-                         systematic_noise=planes.systematic_noise, depth_m=depth_m,
+                         systematic_noise=planes.systematic_noise,
+                         plane_note=planes.plane_note, depth_m=depth_m,
                          scale_method=scale.unit_method, is_measured=seen.is_measured,
                          scale_note=_joined([str(scale), input_note]), input_note=input_note,
                          constant_note=seen.constant_note,
@@ -496,4 +497,5 @@ def _measured_planes(regions: PixelRegions, intrinsics: CameraIntrinsics, config
     else:
         found = measure_reoriented(regions, intrinsics, min_pixels, lines, shift_rad)
     return PlaneSegmentation(*found, regions.noise.mean_sigma,
-                             systematic_noise=regions.noise.systematic_sigma)
+                             systematic_noise=regions.noise.systematic_sigma,
+                             plane_note=missing_planes_note(regions, found[1], min_pixels))

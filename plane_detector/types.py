@@ -425,6 +425,8 @@ class PlaneSegmentation:
     disparity_noise: float  # standard deviation of 1/depth used by the segmentation, 1/m
     # The part of it with which the sensor bends whole planes, 1/m.
     systematic_noise: float = field(default=0.0, kw_only=True)
+    # Why there are no planes, or which were dropped; empty if neither.
+    plane_note: str = field(default='', kw_only=True)
 
 
 OBSTACLE_DISTANCES_M = (1.0, 2.0, 3.0)

@@ -239,6 +239,8 @@ def _facts_of(detection: Detection, late_failure: str) -> dict[str, str]:
                           f'{detection.systematic_noise:.4f} bend planes')
     if detection.input_note:
         facts['input_note'] = detection.input_note
+    if detection.plane_note:
+        facts['planes_dropped'] = detection.plane_note
     if detection.constant_note:
         facts['constant_depth'] = detection.constant_note
     if detection.gravity_note:
