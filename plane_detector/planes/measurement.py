@@ -42,8 +42,8 @@ CENTROID, OFFSET, RMS, AREA, CONFIDENCE, COVARIANCE = 3, 6, 7, 8, 9, 10
 # The errors of a plane are those of its whole cells, which it was fitted to, if they hold at least
 # this share of its pixels; otherwise, of all its pixels.
 MIN_WHOLE_SHARE = 0.3
-# Structure throughout the image resembles noise. Where this is above this share of both the typical
-# disparity and that of a region, it is not noise, and the region is rejected.
+# Structure throughout the image resembles noise. Above this share of both the typical disparity
+# and that of a region it is not noise, and the region is rejected.
 MAX_NOISE_SHARE = 0.125
 # chosen: an image with fewer cells shows no noise: differences are of cells four apart.
 MIN_CELLS_A_SIDE = 5
@@ -108,7 +108,8 @@ def missing_planes_note(regions: PixelRegions, labels: np.ndarray, min_pixels: f
     if not lost.size:
         return ''
     return (f'{lost.size} planes on {lost.sum()} pixels dropped: the noise of 1/z, '
-            f'{regions.noise.mean_sigma:.3g}, is more than {MAX_NOISE_SHARE:.3g} of theirs and of the image')
+            f'{regions.noise.mean_sigma:.3g}, is more than {MAX_NOISE_SHARE:.3g} of theirs '
+            'and of the image')
 
 
 def planes_from_sums(regions: PixelRegions, sums: np.ndarray, kept: np.ndarray,

@@ -157,7 +157,7 @@ def _count_borders(places, values):
 
 @kernel("boolean[:, ::1](Array(float32, 2, 'C', readonly=True), float32[::1], float64)")
 def _pieces_apart(depth_m, values, least_px):
-    """Return the connected pieces (H, W) of sorted values that stand apart; of each a large one."""
+    """Return the pieces (H, W) of sorted values that stand apart, with a large one of each."""
     height, width = depth_m.shape
     found = np.zeros((height, width), np.bool_)
     if len(values) == 0:
