@@ -149,7 +149,7 @@ def test_too_few_pixels_for_planes_are_said():
     assert len(found.planes) == 0 and '8 x 8 pixels are too few' in found.plane_note
 
 
-@pytest.mark.parametrize('background_m, sigma', [(30, 0.006), (45, 0.006), (60, 0.007)])
+@pytest.mark.parametrize('background_m, sigma', [(30, 0.006), (45, 0.006), (60, 0.006)])
 def test_a_noisy_background_does_not_drop_the_floor_before_it(background_m, sigma):
     v = np.indices((480, 640))[0]
     disparity = np.where(v > 410, (v - 240) / 460 / 1.1, 1 / background_m)
