@@ -31,7 +31,7 @@ from plane_detector.geometry.disparity import UNITLESS, to_disparity
 from plane_detector.geometry.gravity import measured_direction, sign_question
 from plane_detector.geometry.projection import as_depth, as_image
 from plane_detector.ground.ground import find_ground
-from plane_detector.planes.measurement import measure_planes
+from plane_detector.planes.measurement import measure_planes, missing_planes_note
 from plane_detector.planes.normal_map import reoriented_by_normals
 from plane_detector.planes.patches import fill_patches
 from plane_detector.planes.ray_planes import ray_planes
@@ -219,8 +219,8 @@ class PlaneDetector:
         with timer('depth'):
             seen = self.source.observe(rgb, intrinsics, depth_m, self.config)
             if seen.is_measured:
-                seen = seen.with_values(without_constants(seen.prediction.values,
-                                                          metric_noise_floor(self.config)))
+                seen = seen.without_constants(without_constants(
+                    seen.prediction.values, metric_noise_floor(self.config)))
             if covered is not None:
                 seen = seen.restricted_to(covered)
         return replace(seen, stamp_s=stamp_s, epoch=epoch, timer=timer,
@@ -303,9 +303,11 @@ class PlaneDetector:
                 shape_labels)
         input_note = _joined([seen.input_note, _sign_note(planes, around, scale)])
         return Detection(planes.planes, labels, planes.disparity_noise,
-                         systematic_noise=planes.systematic_noise, depth_m=depth_m,
+                         systematic_noise=planes.systematic_noise,
+                         plane_note=planes.plane_note, depth_m=depth_m,
                          scale_method=scale.unit_method, is_measured=seen.is_measured,
                          scale_note=_joined([str(scale), input_note]), input_note=input_note,
+                         constant_note=seen.constant_note,
                          scale_event=state.scale.event, shapes=shapes,
                          shape_labels=shape_labels, shape_note=shape_note,
                          gravity_camera=around.gravity.gravity_camera,
@@ -428,7 +430,7 @@ def _noise_floor(seen: Observation, config: Config) -> Noise:
     """Return the lower bound of the noise, in the unit of the disparity."""
     if seen.output not in UNITLESS and (
             config.segmentation.disparity_noise or not seen.noise_share):
-        return metric_noise_floor(config)
+        return metric_noise_floor(config, is_measured=seen.is_measured)
     if config.segmentation.method == 'paper' and seen.output in UNITLESS:
         raise ValueError('segmentation.method paper needs depth in metres, but the network gives '
                          f'{seen.output}')
@@ -495,4 +497,5 @@ def _measured_planes(regions: PixelRegions, intrinsics: CameraIntrinsics, config
     else:
         found = measure_reoriented(regions, intrinsics, min_pixels, lines, shift_rad)
     return PlaneSegmentation(*found, regions.noise.mean_sigma,
-                             systematic_noise=regions.noise.systematic_sigma)
+                             systematic_noise=regions.noise.systematic_sigma,
+                             plane_note=missing_planes_note(regions, found[1], min_pixels))

@@ -425,6 +425,8 @@ class PlaneSegmentation:
     disparity_noise: float  # standard deviation of 1/depth used by the segmentation, 1/m
     # The part of it with which the sensor bends whole planes, 1/m.
     systematic_noise: float = field(default=0.0, kw_only=True)
+    # Why there are no planes, or which were dropped; empty if neither.
+    plane_note: str = field(default='', kw_only=True)
 
 
 OBSTACLE_DISTANCES_M = (1.0, 2.0, 3.0)
@@ -511,6 +513,8 @@ class Detection(PlaneSegmentation):
     scale_method: str  # ``metric``, ``fixed``, ...: metres; ``relative``: in an unknown unit
     # The depth is of a sensor, not of a network.
     is_measured: bool = field(default=True, kw_only=True)
+    # How many pixels repeat which depth exactly and were dropped; empty if none.
+    constant_note: str = field(default='', kw_only=True)
     stage_seconds: Mapping[str, float] = field(default_factory=dict)
     scale_note: str = ''  # result of the scale method with its uncertainty, or why there is none
     # What speaks against the camera, its depth or its gravity as given, with the remedy; empty if

@@ -52,6 +52,9 @@ class Observation:
     noise_share: float = 0.0
     edge_blur_px: float = 0.0  # largest error of depth edges, in pixels of this image
     covered: np.ndarray | None = None  # (H, W) bool, after rectification; None: all
+    # (H, W) float32: depth in metres that repeats exactly and was no measurement, NaN elsewhere;
+    # None: there is none
+    constants_m: np.ndarray | None = None
     is_still: bool = False  # nothing moved since the image before: averaged with earlier ones
     input_note: str = ''  # what speaks against its camera or depth as given; empty if nothing
     sees_sky: bool = False  # only found for a network's depth
@@ -64,6 +67,16 @@ class Observation:
         """Why its lengths mean nothing; empty if nothing is known against them."""
         return ('the network was trained indoors, and the image shows the sky'
                 if self.prediction.is_indoor and self.sees_sky else '')
+
+    @property
+    def constant_note(self) -> str:
+        """How many pixels repeat which depth and are no measurement; empty if none."""
+        if self.constants_m is None:
+            return ''
+        depths_m = self.constants_m[np.isfinite(self.constants_m)]
+        near_m, far_m = depths_m.min(), depths_m.max()
+        span = f'{near_m:.4g} m' if near_m == far_m else f'{near_m:.4g} to {far_m:.4g} m'
+        return f'{depths_m.size} pixels repeat the depth {span} exactly: they are no measurement'
 
     @property
     def output(self) -> str:
@@ -86,6 +99,14 @@ class Observation:
         if values is self.prediction.values:
             return self
         return replace(self, prediction=replace(self.prediction, values=values))
+
+    def without_constants(self, kept: np.ndarray) -> Observation:
+        """Return the observation with the depth (H, W) that is kept, NaN where it repeats."""
+        before = self.prediction.values
+        if kept is before:
+            return self
+        constants_m = np.where(np.isnan(kept), before, np.float32(np.nan))
+        return replace(self.with_values(kept), constants_m=constants_m)
 
     def restricted_to(self, covered: np.ndarray) -> Observation:
         """Return the observation, invalid where ``covered`` (H, W) bool is False."""

@@ -42,9 +42,11 @@ CENTROID, OFFSET, RMS, AREA, CONFIDENCE, COVARIANCE = 3, 6, 7, 8, 9, 10
 # The errors of a plane are those of its whole cells, which it was fitted to, if they hold at least
 # this share of its pixels; otherwise, of all its pixels.
 MIN_WHOLE_SHARE = 0.3
-# Structure throughout the image resembles noise. Above this share of the typical disparity it is
-# not noise, and regions with such residuals are rejected.
+# Structure throughout the image resembles noise. Above this share of both the typical disparity
+# and that of a region it is not noise, and the region is rejected.
 MAX_NOISE_SHARE = 0.125
+# chosen: an image with fewer cells shows no noise: differences are of cells four apart.
+MIN_CELLS_A_SIDE = 5
 # Normals with a smaller standard deviation count as exact.
 MIN_TILT_RAD = 1e-4
 # tuned: fitted to rendered rooms by `benchmark confidence` of 79cdaef, checked on others.
@@ -78,15 +80,36 @@ def measure_planes(regions: PixelRegions, intrinsics: CameraIntrinsics,
         Index into these, -1 none.
 
     """
-    noise, typical = regions.noise, regions.grid.typical_disparity
+    noise = regions.noise
     sums = sum_over_pixels(regions, intrinsics)
     is_kept = sums[:, N] >= max(min_pixels, 1)
-    if noise.mean_sigma > max(noise.source_sigma, MAX_NOISE_SHARE * typical):
-        is_kept[:] = False
+    if noise.mean_sigma > noise.source_sigma:
+        typical = np.maximum(sums[:, D], regions.grid.typical_disparity * sums[:, N])
+        is_kept &= noise.mean_sigma * sums[:, N] <= MAX_NOISE_SHARE * typical
     kept = np.argsort(-sums[:, N], kind='stable')
     kept = kept[is_kept[kept]]
     labels = relabel_sequential(regions.labels, kept, len(sums))
     return planes_from_sums(regions, sums, kept, intrinsics), labels
+
+
+def missing_planes_note(regions: PixelRegions, labels: np.ndarray, min_pixels: float) -> str:
+    """
+    Return why regions large enough are no planes, or why there are none; empty if neither.
+
+    ``labels`` (H, W) are those that :func:`measure_planes` returned.
+    """
+    rows, columns = regions.grid.shape
+    if min(rows, columns) < MIN_CELLS_A_SIDE and not (labels >= 0).any():
+        height, width = labels.shape
+        return (f'{width} x {height} pixels are too few to tell planes from noise: at least '
+                f'{MIN_CELLS_A_SIDE * regions.grid.size_px} a side are needed')
+    lost = np.bincount(regions.labels[(regions.labels >= 0) & (labels < 0)])
+    lost = lost[lost >= max(min_pixels, 1)]
+    if not lost.size:
+        return ''
+    return (f'{lost.size} planes on {lost.sum()} pixels dropped: the noise of 1/z, '
+            f'{regions.noise.mean_sigma:.3g}, is more than {MAX_NOISE_SHARE:.3g} of theirs '
+            'and of the image')
 
 
 def planes_from_sums(regions: PixelRegions, sums: np.ndarray, kept: np.ndarray,

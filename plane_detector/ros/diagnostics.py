@@ -182,6 +182,8 @@ class Health:
             self.warn_once(_NUMBER.sub('', detection.input_note), detection.input_note)
         if detection.scale_event:
             self._logger.info(detection.scale_event)
+        if detection.constant_note:
+            self.warn_once('constant depth', detection.constant_note)
         before, self._gap = self._gap, missing_for_classes(detection, wanted)
         if self._gap:  # numbers in it vary from frame to frame
             self.warn_once(_NUMBER.sub('', self._gap), self._gap)
@@ -237,6 +239,10 @@ def _facts_of(detection: Detection, late_failure: str) -> dict[str, str]:
                           f'{detection.systematic_noise:.4f} bend planes')
     if detection.input_note:
         facts['input_note'] = detection.input_note
+    if detection.plane_note:
+        facts['planes_dropped'] = detection.plane_note
+    if detection.constant_note:
+        facts['constant_depth'] = detection.constant_note
     if detection.gravity_note:
         facts['gravity_note'] = detection.gravity_note
     if detection.gravity_probability == detection.gravity_probability:  # not NaN

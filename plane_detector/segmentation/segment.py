@@ -20,7 +20,12 @@ from plane_detector.process import retain_freed_memory
 from plane_detector.segmentation.cells.grid import TYPICAL_LENS, DisparityImage, build_cell_grid
 from plane_detector.segmentation.cells.labels import rename_labels
 from plane_detector.segmentation.cells.model import MAX_DEVIATIONS, Frame, PlaneRegions
-from plane_detector.segmentation.cells.noise import DepthKind, Noise, with_quantisation
+from plane_detector.segmentation.cells.noise import (
+    DepthKind,
+    Noise,
+    with_fine_depth,
+    with_quantisation,
+)
 from plane_detector.segmentation.cells.noise_correlation import Correlation
 from plane_detector.segmentation.cells.normal_slopes import NormalMap, slopes_of
 from plane_detector.segmentation.cells.pixel_regions import NO_PATCHES, PixelRegions
@@ -44,7 +49,7 @@ from plane_detector.segmentation.regions.merging import (
 from plane_detector.segmentation.regions.region_graph import RegionGraph
 from plane_detector.segmentation.search.plane_search import search_planes, sees_creases
 
-# Lower bound of the error of depth.
+# Lower bound of the error of depth, unless its values and its noise are finer.
 # chosen: the largest rounding error of 16-bit millimetres.
 DEPTH_FLOOR_M = 0.0005
 # Residuals of exact planes in a disparity of unknown unit, as a share of its range.
@@ -55,7 +60,8 @@ RELATIVE_FLOOR = 1e-4
 MIN_TURN_DEG = 2.0
 
 
-def metric_noise_floor(config: Config, disparity_noise: float = 0.0) -> Noise:
+def metric_noise_floor(config: Config, disparity_noise: float = 0.0, *,
+                       is_measured: bool = True) -> Noise:
     """
     Return the lower bound of the noise of 1/z, in 1/m.
 
@@ -64,11 +70,16 @@ def metric_noise_floor(config: Config, disparity_noise: float = 0.0) -> Noise:
     config : Config
         Its ``segmentation.disparity_noise``, if not 0, replaces the argument.
     disparity_noise : float
-        Noise stated for the depth source, 1/m; 0 if none.
+        Noise stated for a network, 1/m; 0 if none.
+    is_measured : bool
+        Whether the depth is of a sensor, unless noise is stated for a network: its errors do not
+        become those of a network because the setting states how large they are at least.
 
     """
-    source_sigma = config.segmentation.disparity_noise or disparity_noise
-    return Noise(DEPTH_FLOOR_M, source_sigma=source_sigma)
+    stated = config.segmentation.disparity_noise
+    if is_measured and disparity_noise == 0:
+        return Noise(DEPTH_FLOOR_M, least_sigma=stated)
+    return Noise(DEPTH_FLOOR_M, source_sigma=stated or disparity_noise)
 
 
 def unitless_noise_floor(disparity: np.ndarray, disparity_noise: float = 0.0) -> Noise:
@@ -83,7 +94,8 @@ def unitless_noise_floor(disparity: np.ndarray, disparity_noise: float = 0.0) ->
         Noise stated for its source, in the same unit; 0 if none.
 
     """
-    return Noise(0.0, RELATIVE_FLOOR * disparity_range(disparity), disparity_noise)
+    return Noise(0.0, RELATIVE_FLOOR * disparity_range(disparity), disparity_noise,
+                 is_metric=False)
 
 
 def segment(disparity: np.ndarray, noise_floor: Noise, config: Config,
@@ -124,7 +136,7 @@ def segment(disparity: np.ndarray, noise_floor: Noise, config: Config,
     if normals is not None:
         grid = replace(grid, normal_slope=slopes_of(grid, normals))
     min_pixels = MIN_CELL_SHARE * config.segmentation.min_plane_share * image.values.size
-    noise_floor = with_quantisation(noise_floor, image)
+    noise_floor = with_fine_depth(with_quantisation(noise_floor, image), image, grid)
     frame, regions = search_planes(Frame(image, grid, noise_floor, min_pixels, config, rng))
     regions = compete_for_cells(frame, regions)
     correlation = (Correlation.of(frame.cells, regions, frame.noise)

@@ -28,6 +28,7 @@ def detection(classes, scale='metric', planes=2, gravity_note='', shape=(480, 64
     return SimpleNamespace(labels=np.zeros(shape), planes=(None,) * planes, classes=classes,
                            scale_method=scale, scale_note='why', scale_event='',
                            input_note=input_note,
+                           constant_note='', plane_note='',
                            gravity_source='none', gravity_note=gravity_note,
                            gravity_probability=probability,
                            camera_height_m=1.25, tilt_deg=math.nan, drops_m=(),

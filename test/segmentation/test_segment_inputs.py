@@ -2,13 +2,22 @@
 # SPDX-License-Identifier: Apache-2.0
 """Whatever comes in as depth: the result is consistent, and no error where there is no reason."""
 
+import cv2
 import numpy as np
 import pytest
 from cell_helpers import noisy
 
-from plane_detector import CameraIntrinsics, segment_planes
+from plane_detector import CameraIntrinsics, Config, segment_planes
+from plane_detector.config import SegmentationConfig
 from plane_detector.evaluation.peers import plane_array
 from plane_detector.evaluation.scenes.rendering import VGA
+from plane_detector.geometry.disparity import to_disparity
+from plane_detector.segmentation.cells.noise import DepthKind
+from plane_detector.segmentation.segment import (
+    metric_noise_floor,
+    segment,
+    unitless_noise_floor,
+)
 
 pytestmark = pytest.mark.filterwarnings('error')
 
@@ -104,3 +113,74 @@ def test_precision_and_layout_of_the_input_do_not_matter(room):
 def test_what_is_no_depth_image_is_refused(depth):
     with pytest.raises(ValueError, match='depth'):
         segment_planes(depth, VGA)
+
+
+def room_corner(size, holes=0.0, noise=0.0, seed=0):
+    """Return depth of a floor and a wall, the pixels of the floor, and the camera 1 m above."""
+    width, height = size
+    camera = CameraIntrinsics.from_field_of_view(width, height, 70.0)
+    v, u = np.indices((height, width))
+    rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy,
+                     np.ones(v.shape)], -1)
+    down, ahead = np.array([0, np.cos(0.45), np.sin(0.45)]), np.array([0, -np.sin(0.45),
+                                                                    np.cos(0.45)])
+    floor_m, wall_m = 1 / np.maximum(rays @ down, 1e-6), 2.4 / (rays @ ahead)
+    z_m, rng = np.minimum(floor_m, wall_m), np.random.default_rng(seed)
+    noisy_m = z_m + rng.normal(0, 1, z_m.shape) * noise * z_m**2
+    kept_m = np.where(rng.random(z_m.shape) < holes, np.nan, np.round(noisy_m, 3))
+    return kept_m.astype(np.float32), floor_m < wall_m, camera
+
+
+@pytest.mark.parametrize('size', [(160, 120), (128, 96), (96, 72), (64, 48)])
+@pytest.mark.parametrize('holes', [0.0, 0.2, 0.35])
+def test_small_images_with_holes_have_their_planes(size, holes):
+    for seed in range(3):
+        depth_m, is_floor, camera = room_corner(size, holes, 0.002, seed)
+        found = segment_planes(depth_m, camera)
+        seen = found.labels[is_floor & np.isfinite(depth_m)]
+        best = max(range(len(found.planes)), key=lambda k: (seen == k).sum())
+        assert (seen == best).mean() > 0.9
+        assert found.planes[best].offset_m == pytest.approx(1.0, abs=0.01)
+
+
+def test_too_few_pixels_for_planes_are_said():
+    depth_m = np.random.default_rng(0).normal(1, 0.01, (8, 8))
+    found = segment_planes(depth_m, CameraIntrinsics.from_field_of_view(8, 8, 60.0))
+    assert len(found.planes) == 0 and '8 x 8 pixels are too few' in found.plane_note
+
+
+@pytest.mark.parametrize('background_m, sigma', [(30, 0.006), (45, 0.006), (60, 0.006)])
+def test_a_noisy_background_does_not_drop_the_floor_before_it(background_m, sigma):
+    v = np.indices((480, 640))[0]
+    disparity = np.where(v > 410, (v - 240) / 460 / 1.1, 1 / background_m)
+    disparity += sigma * cv2.GaussianBlur(
+        np.random.default_rng(3).normal(0, 1, v.shape), (0, 0), 3) * 10.6
+    found = segment_planes(1 / np.maximum(disparity, 0.002),
+                           CameraIntrinsics(460.0, 460.0, 319.5, 239.5, 640, 480))
+    near = found.labels[415:]
+    assert max((near == k).mean() for k in range(len(found.planes))) > 0.95
+    assert 'dropped' in found.plane_note
+
+
+@pytest.mark.parametrize('noise_m, step_m', [(4e-5, 0.6e-3), (6e-5, 0.8e-3)])
+def test_thin_plates_in_fine_depth_are_told_from_their_table(noise_m, step_m):
+    rng, at = np.random.default_rng(4), (slice(150, 290), slice(200, 420))
+    depth_m = np.full((480, 640), 0.8)
+    depth_m[at] -= step_m
+    depth_m += noise_m * cv2.GaussianBlur(rng.normal(0, 1, depth_m.shape), (0, 0), 0.8) * 2.8
+    camera = CameraIntrinsics.from_field_of_view(640, 480, 40.0)
+    found = segment_planes(depth_m, camera, Config(
+        segmentation=SegmentationConfig(flatness_distance=0.0)))
+    plate, table = found.labels[220, 300], found.labels[50, 50]
+    assert plate >= 0 and table >= 0 and plate != table
+    assert found.planes[table].offset_m - found.planes[plate].offset_m == pytest.approx(
+        step_m, abs=0.1 * step_m)
+
+
+def test_stated_noise_of_a_sensor_is_a_bound_and_does_not_make_it_a_network():
+    depth_m, _, camera = room_corner((320, 240), 0.0, 0.002)
+    disparity = to_disparity(depth_m)
+    config = Config(segmentation=SegmentationConfig(disparity_noise=0.003))
+    noise = segment(disparity, metric_noise_floor(config), config).noise
+    assert noise.kind(0.5) is DepthKind.MEASURED and noise.mean_sigma >= 0.003
+    assert unitless_noise_floor(disparity).is_metric is False

@@ -7,7 +7,8 @@ Drivers and robots write constants: over the robot's own body, beyond the range,
 invalid. Such a region has no noise, fills as a plane, and sets the noise of the image to 0. It is
 known by its border, where it stands apart from what surrounds it, or by its frequency, far above
 that of any other value. A wall that a simulator sees exactly from the front looks the same: what
-is constant stays if the rest of the image has no noise either.
+is constant stays if the rest of the image has no noise either. So does what is near: the noise of
+1/z is far below a millimetre of depth there, and all pixels of a front are rounded to one value.
 """
 
 from __future__ import annotations
@@ -69,27 +70,49 @@ def without_constants(depth_m: np.ndarray, noise_floor: Noise) -> np.ndarray:
     True
 
     """
-    values = _frequent_values(depth_m)
+    dominant = _dominant_value(depth_m)
+    values = _frequent_values(depth_m, dominant)
     if not values.size:
         return depth_m
-    is_constant = np.zeros(depth_m.shape, bool)
-    for value in values:
-        is_constant |= _unmeasured(depth_m, value)
+    is_constant = _pieces_apart(np.ascontiguousarray(depth_m), values[values != dominant],
+                                MIN_SHARE * depth_m.size)
+    if dominant in values:
+        is_constant |= depth_m == dominant
     if not is_constant.any():
         return depth_m
     rest_m = np.where(is_constant, np.float32(np.nan), depth_m)
     steps_m = np.diff(np.unique(rest_m[::_STRIDE, ::_STRIDE]))
     step_m = float(steps_m[steps_m > _MIN_STEP_M].min(initial=np.inf))
-    floor_m = max(noise_floor.depth_floor_m, step_m / 12**0.5 if np.isfinite(step_m) else 0.0)
+    step_m = step_m if np.isfinite(step_m) else 0.0
+    floor_m = max(noise_floor.depth_floor_m, step_m / 12**0.5)
     grid = build_cell_grid(DisparityImage(*zero_filled(to_disparity(rest_m))))
     noise = estimate_noise(grid, replace(noise_floor, depth_floor_m=floor_m))
     # The pixels, not the means of cells: a curved surface has no noise either.
-    is_noisy = noise.pixel_sigma**2 > noise.variance_floor(grid.typical_disparity)
-    return rest_m if is_noisy else depth_m
+    if noise.pixel_sigma**2 <= noise.variance_floor(grid.typical_disparity):
+        return depth_m
+    # derived: with noise of half a step two thirds of the pixels have one value, and the others
+    # lie between them.
+    is_measured = noise.pixel_sigma * values.astype(float) ** 2 < step_m / 2
+    for value in values[is_measured]:
+        is_constant &= depth_m != value
+    if is_measured.any():
+        rest_m = np.where(is_constant, np.float32(np.nan), depth_m)
+    return rest_m if is_constant.any() else depth_m
 
 
-def _frequent_values(depth_m: np.ndarray) -> np.ndarray:
-    """Return the values that fill a large share of the places and may be constants."""
+def _dominant_value(depth_m: np.ndarray) -> float:
+    """Return the value far more frequent than any other; NaN if there is none."""
+    places = depth_m[::_STRIDE, ::_STRIDE]
+    values, counts = np.unique(places[np.isfinite(places)], return_counts=True)
+    if not values.size:
+        return np.nan
+    top = counts.argmax()
+    most, counts[top] = counts[top], 0
+    return values[top] if counts.max() * MIN_FREQUENCY_RATIO <= most else np.nan
+
+
+def _frequent_values(depth_m: np.ndarray, dominant: float) -> np.ndarray:
+    """Return the values, sorted, that fill a large share of the places and may be constants."""
     places = depth_m[:-1:_STRIDE, :-1:_STRIDE]
     is_equal = (np.isfinite(places) & (places == depth_m[1::_STRIDE, :-1:_STRIDE])
                 & (places == depth_m[:-1:_STRIDE, 1::_STRIDE]))
@@ -102,9 +125,7 @@ def _frequent_values(depth_m: np.ndarray) -> np.ndarray:
         return values
     # In quantised depth there may be dozens, and most places beside theirs have the next step.
     border, attached = _count_borders(np.ascontiguousarray(places), values)
-    is_kept, most = attached <= 2 * MAX_ATTACHED_SHARE * border, counts.argmax()
-    is_kept[most] = is_kept[most] or not _is_one_of_many(depth_m, values[most])
-    return values[is_kept]
+    return values[(attached <= 2 * MAX_ATTACHED_SHARE * border) | (values == dominant)]
 
 
 @kernel("UniTuple(int64[::1], 2)(Array(float32, 2, 'C', readonly=True), float32[::1])",
@@ -134,26 +155,33 @@ def _count_borders(places, values):
     return border, attached
 
 
-def _unmeasured(depth_m: np.ndarray, value: float) -> np.ndarray:
-    """Return where a value is a constant, (H, W) bool: all of a frequent one, or pieces apart."""
-    if not _is_one_of_many(depth_m, value):
-        return depth_m == value
-    return _pieces_apart(np.ascontiguousarray(depth_m), value, MIN_SHARE * depth_m.size)
-
-
-@kernel("boolean[:, ::1](Array(float32, 2, 'C', readonly=True), float32, float64)")
-def _pieces_apart(depth_m, value, least_px):
-    """Return the connected pieces (H, W) that stand apart; none if all of these are small."""
+@kernel("boolean[:, ::1](Array(float32, 2, 'C', readonly=True), float32[::1], float64)")
+def _pieces_apart(depth_m, values, least_px):
+    """Return the pieces (H, W) of sorted values that stand apart, with a large one of each."""
     height, width = depth_m.shape
     found = np.zeros((height, width), np.bool_)
+    if len(values) == 0:
+        return found
     pieces, pixels = np.zeros((height, width), np.int32), np.empty(depth_m.size, np.int32)
-    sizes = np.zeros(depth_m.size // 2 + 2, np.int32)  # of each piece; the first one is 1
-    piece = count = done = largest = 0
+    # Of each piece, the first one is 1: its first pixel, and the index of its value.
+    start = np.zeros(depth_m.size + 2, np.int32)
+    value_of = np.zeros(depth_m.size + 2, np.int32)
+    largest, of_value = np.zeros(len(values), np.int64), np.zeros(len(values), np.int64)
+    piece = count = done = 0
     for v in range(height):
+        before, k = np.float32(np.nan), np.int64(-1)
         for u in range(width):
-            if depth_m[v, u] != value or pieces[v, u]:
+            value = depth_m[v, u]
+            if value != before:
+                before, k = value, np.int64(-1)
+                if values[0] <= value <= values[-1]:
+                    k = np.searchsorted(values, value)
+                    k = k if values[k] == value else np.int64(-1)
+            if k < 0 or pieces[v, u]:
                 continue
-            piece, first = piece + 1, count
+            piece += 1
+            start[piece], value_of[piece] = count, k
+            of_value[k] += 1
             pieces[v, u], pixels[count], count = piece, v * width + u, count + 1
             while done < count:
                 y, x = pixels[done] // width, pixels[done] % width
@@ -163,41 +191,45 @@ def _pieces_apart(depth_m, value, least_px):
                     if (0 <= h < height and 0 <= w < width and depth_m[h, w] == value
                             and not pieces[h, w]):
                         pieces[h, w], pixels[count], count = piece, h * width + w, count + 1
-            sizes[piece] = count - first
-            largest = max(largest, count - first)
-    if largest < least_px:
-        return found
+            largest[k] = max(largest[k], count - start[piece])
+    start[piece + 1] = count
+    # The pieces in the order of their values.
+    order, ends = np.empty(piece, np.int32), np.cumsum(of_value) - of_value
+    for i in range(1, piece + 1):
+        order[ends[value_of[i]]] = i
+        ends[value_of[i]] += 1
     border, attached = np.zeros(piece + 1, np.int64), np.zeros(piece + 1, np.int64)
-    beside, near = np.zeros((height, width), np.int32), np.float32(MIN_JUMP) * value
-    for i in range(count):  # in the order of the pieces
-        y, x = pixels[i] // width, pixels[i] % width
-        piece = pieces[y, x]
-        if (0 < y < height - 1 and 0 < x < width - 1 and pieces[y - 1, x] and pieces[y, x - 1]
-                and pieces[y + 1, x] and pieces[y, x + 1]):
-            continue  # what is beside it is beside one of these
-        for h in range(max(y - _BORDER_PX, 0), min(y + _BORDER_PX + 1, height)):
-            for w in range(max(x - _BORDER_PX, 0), min(x + _BORDER_PX + 1, width)):
-                z, before = depth_m[h, w], beside[h, w]
-                if z != value and before != piece and abs(z) < np.inf:
-                    is_near = abs(z - value) <= near
-                    if before:  # a pixel beside two pieces counts for one of them
-                        border[before] -= 1
-                        attached[before] -= is_near
-                    border[piece] += 1
-                    attached[piece] += is_near
-                    beside[h, w] = piece
-    is_any = False
-    for i in range(count):
-        y, x = pixels[i] // width, pixels[i] % width
-        piece = pieces[y, x]
-        found[y, x] = attached[piece] <= MAX_ATTACHED_SHARE * border[piece]
-        is_any |= found[y, x] and sizes[piece] >= least_px
-    return found if is_any else np.zeros((height, width), np.bool_)
-
-
-def _is_one_of_many(depth_m: np.ndarray, value: float) -> bool:
-    """Return whether another value is about as frequent at the places, as in quantised depth."""
-    places = depth_m[::_STRIDE, ::_STRIDE]
-    counts = np.unique(places[np.isfinite(places) & (places != value)], return_counts=True)[1]
-    return (counts.max(initial=0) * MIN_FREQUENCY_RATIO
-            > np.count_nonzero(places == value))
+    beside = np.zeros((height, width), np.int32)
+    for piece in order:
+        k = value_of[piece]
+        if largest[k] < least_px:
+            continue
+        value, near = values[k], np.float32(MIN_JUMP) * values[k]
+        for i in range(start[piece], start[piece + 1]):
+            y, x = pixels[i] // width, pixels[i] % width
+            if (0 < y < height - 1 and 0 < x < width - 1 and depth_m[y - 1, x] == value
+                    and depth_m[y, x - 1] == value and depth_m[y + 1, x] == value
+                    and depth_m[y, x + 1] == value):
+                continue  # what is beside it is beside one of these
+            for h in range(max(y - _BORDER_PX, 0), min(y + _BORDER_PX + 1, height)):
+                for w in range(max(x - _BORDER_PX, 0), min(x + _BORDER_PX + 1, width)):
+                    z, other = depth_m[h, w], beside[h, w]
+                    if z != value and other != piece and abs(z) < np.inf:
+                        is_near = abs(z - value) <= near
+                        # A pixel beside two pieces of a value counts for one of them.
+                        if other and value_of[other] == k:
+                            border[other] -= 1
+                            attached[other] -= is_near
+                        border[piece] += 1
+                        attached[piece] += is_near
+                        beside[h, w] = piece
+    is_apart, is_any = np.zeros(len(border), np.bool_), np.zeros(len(values), np.bool_)
+    for piece in order:
+        is_apart[piece] = attached[piece] <= MAX_ATTACHED_SHARE * border[piece]
+        is_any[value_of[piece]] |= (is_apart[piece]
+                                    and start[piece + 1] - start[piece] >= least_px)
+    for piece in order:
+        if is_apart[piece] and is_any[value_of[piece]]:
+            for i in range(start[piece], start[piece + 1]):
+                found[pixels[i] // width, pixels[i] % width] = True
+    return found

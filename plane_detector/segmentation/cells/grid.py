@@ -39,8 +39,9 @@ CELLS_PER_IMAGE = 4800
 # tuned: rooms and lived-in rooms of seeds below 9000: flat from 0.05 to 0.5; of lidar frames 0.05
 # of the pixels lose their label at 0.3, 0.27 at 0.5, and none gains one at 0.05.
 MIN_VALID_SHARE = 0.15
-# derived: a cell needs two pixels a side to have a slope.
-MIN_CELL_SIDE_PX = 2
+# derived: a cell with a pixel in five missing still has more than the three that its plane takes,
+# so that its residuals show noise.
+MIN_CELL_SIDE_PX = 3
 # Focal lengths over the image width, and x and y of the principal point, if the camera is not
 # known.
 # chosen: 64 degrees, which most cameras of robots and phones have within a third.

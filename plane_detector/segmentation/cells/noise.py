@@ -55,6 +55,12 @@ MODULUS_QUANTILE = NormalDist().inv_cdf((1 + QUANTILE) / 2)
 # tuned: walls and rooms rounded to .001 to .01 1/m, and exact, curved, millimetre and sensor depth
 # that are not: flat from 3 to 4 lines, .07 to .4 and .6 to .7.
 ROUNDING_LINES, MIN_EQUAL_SHARE, MIN_EVEN_SHARE = 4, 0.2, 0.6
+# Depth within so many millimetres of a whole number of them is in millimetres.
+# derived: float32 of 1/z at 100 m is as coarse.
+WHOLE_MM = 0.02
+# Lower bound of the error of depth that is finer than millimetres.
+# chosen: the rounding error of the finest unit that drivers use, 0.05 mm.
+FINE_FLOOR_M = 2.5e-5
 # Noise specified for a network tilts cells by about this much per unit of image width.
 # tuned: 14 real frames through FastDepth and rooms with rounded disparity, all the same from 0 to
 # 1.4 times; walls with smooth bows, which no cell shows, are in pieces at 0.
@@ -95,11 +101,11 @@ class DepthKind(Enum):
 class Noise:
     """Standard deviations of the disparity."""
 
-    # lower bound for the depth of a pixel: the rounding error of 16-bit millimetres
+    # lower bound for the depth of a pixel: its rounding error
     depth_floor_m: float
     disparity_floor: float = 0.0  # lower bound for the disparity of a pixel, 1/m
-    # noise stated for the depth source, 1/m; 0 if none. ``mean_sigma`` is at least this, because
-    # the errors of a network are too smooth to be visible in any window
+    # noise stated for a network, 1/m; 0 if none. ``mean_sigma`` is at least this, because the
+    # errors of a network are too smooth to be visible in any window
     source_sigma: float = 0.0
     mean_sigma: float = 0.0  # of the mean of a full cell about its plane, 1/m
     slope_sigma: float = 0.0  # of each component of a full cell's slope, 1/m per image width
@@ -114,16 +120,14 @@ class Noise:
     lateral_shared: float = 0.0
     # the share of a pixel's variance that its neighbour does not have; 0: the noise is not local
     own_share: float = 0.0
+    # the disparity is 1/metres, so that lengths and angles mean something
+    is_metric: bool = True
+    least_sigma: float = 0.0  # noise stated for a sensor, 1/m: ``mean_sigma`` is at least this
 
     @property
     def systematic_sigma(self) -> float:
         """The part of ``mean_sigma`` that bends whole planes, 1/m."""
         return self.mean_sigma * (1 - self.bending**-2) ** 0.5
-
-    @property
-    def is_metric(self) -> bool:
-        """Whether the disparity is 1/metres: only then is there a lower bound of the depth's."""
-        return self.depth_floor_m > 0
 
     @property
     def density(self) -> float:
@@ -143,7 +147,8 @@ class Noise:
 
     def with_smooth_part(self, mean_sigma: float, slope_sigma: float, **others: float) -> Noise:
         """Return the noise with these deviations, the first two at least those of the source."""
-        return replace(self, mean_sigma=max(float(mean_sigma), self.source_sigma),
+        least = max(self.source_sigma, self.least_sigma)
+        return replace(self, mean_sigma=max(float(mean_sigma), least),
                        slope_sigma=max(float(slope_sigma), SLOPE_PER_NOISE * self.source_sigma),
                        **others)
 
@@ -176,7 +181,8 @@ class Noise:
         return Noise(self.depth_floor_m / scale, *(scale * sigma for sigma in (
             self.disparity_floor, self.source_sigma, self.mean_sigma, self.slope_sigma,
             self.pixel_sigma)), bending=self.bending, lateral_px=self.lateral_px,
-            lateral_shared=self.lateral_shared, own_share=self.own_share)
+            lateral_shared=self.lateral_shared, own_share=self.own_share,
+            is_metric=self.is_metric, least_sigma=scale * self.least_sigma)
 
     def at_cell_size(self, size_px: int, smaller_px: int) -> Noise:
         """
@@ -410,6 +416,33 @@ def with_quantisation(noise_floor: Noise, image: DisparityImage) -> Noise:
                        disparity_floor=max(noise_floor.disparity_floor, step / 12**0.5))
     return replace(noise_floor, depth_floor_m=max(noise_floor.depth_floor_m,
                                                   _even_step(1 / values[::-1]) / 12**0.5))
+
+
+def with_fine_depth(noise_floor: Noise, image: DisparityImage, grid: CellGrid) -> Noise:
+    """
+    Return the noise floor of depth that is finer than whole millimetres, as its noise shows.
+
+    Without noise the floor stays: what is exact in a simulator is a surface of triangles. So it
+    does with more noise than the floor, which hides nothing then: SC of rooms in simulated time of
+    flight .937 with the finer floor, .973 without.
+    """
+    if not noise_floor.is_metric or noise_floor.source_sigma > 0:
+        return noise_floor
+    rows = image.values[np.arange(1, ROUNDING_LINES + 1) * (len(image.values) - 1)
+                        // (ROUNDING_LINES + 1)]
+    depth_m = 1 / np.unique(rows[rows > 0]).astype(float)[::-1]
+    of_millimetre = 1000 * depth_m - np.rint(1000 * depth_m)
+    if 2 * np.count_nonzero(abs(of_millimetre) > WHOLE_MM) < max(len(depth_m), 1):
+        return noise_floor
+    steps_m = np.diff(depth_m)
+    step_m = float(steps_m[steps_m > FINE_FLOOR_M / 2].min(initial=np.inf))
+    floor_m = max(FINE_FLOOR_M, step_m / 2)
+    if floor_m >= noise_floor.depth_floor_m:
+        return noise_floor
+    finer = replace(noise_floor, depth_floor_m=floor_m)
+    square, typical = estimate_noise(grid, finer).pixel_sigma ** 2, grid.typical_disparity
+    is_between = finer.variance_floor(typical) < square < noise_floor.variance_floor(typical)
+    return finer if is_between else noise_floor
 
 
 def _even_step(values: np.ndarray) -> float:

@@ -24,6 +24,11 @@ REGIONS = {'body': 380 - 60 * (abs(U - 320) < 200) < V, 'strip': U < 70,
 def test_a_mask_is_invalid_and_the_rest_keeps_its_planes(noise, region, value_m):
     scene, at = room(1), REGIONS[region]
     depth_m = noisy_depth(scene, noise, 1)
+    if noise == 'active stereo' and value_m < 1:
+        # So near its noise is a quarter of a millimetre: a front would be rounded to one value.
+        kept_m = without_constants(np.where(at, np.float32(value_m), depth_m), NOISE_FLOOR)
+        assert np.isfinite(kept_m[at]).all()
+        return
     masked_m = np.where(at, np.float32(value_m), depth_m)
     kept_m = without_constants(masked_m, NOISE_FLOOR)
     assert np.isnan(kept_m[at]).mean() > 0.98
@@ -63,8 +68,53 @@ def test_steps_of_quantised_depth_are_no_constants(noise):
         assert without_constants(depth_m, NOISE_FLOOR) is depth_m
 
 
-def test_all_outputs_see_a_mask_as_invalid():
+def test_all_outputs_see_a_mask_as_invalid_and_it_is_said():
     scene, at = room(1), REGIONS['body']
     depth_m = np.where(at, np.float32(5.0), noisy_depth(scene, 0.001, 1))
     detector = PlaneDetector(Config(depth=DepthConfig(source='topic')))
-    assert np.isnan(detector.detect(scene.rgb, scene.intrinsics, depth_m).depth_m[at]).all()
+    found = detector.detect(scene.rgb, scene.intrinsics, depth_m)
+    assert np.isnan(found.depth_m[at]).all()
+    assert found.constant_note.startswith(f'{at.sum()} pixels repeat the depth 5 m')
+    seen = detector.estimate_depth(scene.rgb, scene.intrinsics, depth_m)
+    np.testing.assert_array_equal(seen.constants_m, np.where(at, np.float32(5.0), np.nan))
+
+
+def before_a_floor(front_m, at, noise, step_m, seed):
+    """Return depth of a floor that ends 4 m away with something before it, noise k z**2."""
+    z_m = np.where(at, front_m, np.minimum(460 / np.maximum(V - 240, 1), 4.0))
+    z_m = z_m + np.random.default_rng(seed).normal(0, noise, z_m.shape) * z_m**2
+    return (np.round(z_m / step_m) * step_m).astype(np.float32)
+
+
+@pytest.mark.parametrize('step_m', [1e-3, 1e-4])
+@pytest.mark.parametrize('front_m', [0.2, 0.37, 0.5, 0.8, 1.0])
+def test_a_front_near_the_camera_is_rounded_to_one_depth_and_stays(front_m, step_m):
+    at = (V >= 140) & (V < 390) & (U >= 190) & (U < 450)
+    for seed, (noise, tilt_deg) in enumerate(
+            [(0.0003, 0), (0.0005, 0.1), (0.001, 0), (0.001, 0.3), (0.002, 0.2), (0.003, 0)]):
+        tilted_m = front_m / (1 - np.tan(np.radians(tilt_deg)) * (U - 320) / 460)
+        depth_m = before_a_floor(tilted_m, at, noise, step_m, seed)
+        kept_m = without_constants(depth_m, NOISE_FLOOR)
+        assert np.isfinite(kept_m[at]).mean() > 0.99
+
+
+def test_a_table_from_above_and_its_boxes_stay():
+    for seed, table_m in enumerate((0.32, 0.41, 0.5)):
+        z_m = np.where((U < 70) | (V > 400), 1.4 + 0.001 * U, table_m)
+        for row, column, high_m in ((60, 120, 0.05), (200, 300, 0.11), (80, 450, 0.08)):
+            z_m[row:row + 90, column:column + 110] = table_m - high_m
+        noisy_m = z_m + np.random.default_rng(seed).normal(0, 8e-4, z_m.shape) * z_m**2
+        depth_m = np.round(noisy_m, 3).astype(np.float32)
+        assert np.isfinite(without_constants(depth_m, NOISE_FLOOR)).all()
+
+
+@pytest.mark.parametrize('noise', [0.0007, 0.002])
+def test_many_masks_of_several_depths_are_each_told(noise):
+    at = np.zeros(V.shape, bool)
+    value_m = np.full(V.shape, np.nan)
+    for k, depth in enumerate((2.5, 6.0, 7.25, 9.0)):
+        patch = (slice(40, 200), slice(20 + 155 * k, 140 + 155 * k))
+        at[patch], value_m[patch] = True, depth
+    depth_m = before_a_floor(1.0, np.zeros(V.shape, bool), noise, 1e-3, 5)
+    kept_m = without_constants(np.where(at, value_m, depth_m).astype(np.float32), NOISE_FLOOR)
+    assert np.isnan(kept_m[at]).mean() > 0.99 and np.isfinite(kept_m[~at]).mean() > 0.99
