@@ -152,6 +152,11 @@ class DirectionsConfig(Settings, section='directions'):
     gravity: bool = setting(
         True, 'without an IMU, TF or scale.gravity, the direction of gravity is estimated from '
         'the lines and the depth of the image, if they show reliably how the camera is mounted')
+    mounting: str = setting(
+        'any', 'how the camera is mounted, where gravity comes from the image: any, also on its '
+        'side, upside down or looking straight down, which the depth of a network often leaves '
+        'open; upright: none of these',
+        choices=('any', 'upright'))
     orient_planes: bool = setting(
         True, 'planes in the depth of a network are rotated to the orientation that is most '
         'likely given their lines and the axes of the scene; measured depth is not changed')

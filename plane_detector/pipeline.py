@@ -238,6 +238,8 @@ class PlaneDetector:
             gravity_camera = measured_direction(gravity_camera)
         image = CameraImage(seen.rgb, seen.intrinsics, seen.covered, seen.disparity,
                             seen.output == 'relative_disparity', seen.stamp_s,
+                            is_measured=seen.is_measured,
+                            is_lens_guessed=seen.intrinsics.is_guessed,
                             is_still=seen.is_measured or seen.is_still)
         with seen.timer('directions'), one_thread():
             return self._directions.at(seen.epoch).find(

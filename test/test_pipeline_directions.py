@@ -60,7 +60,7 @@ def test_exact_planes_of_a_small_image_do_not_move():
         model = DepthFunction(lambda rgb, depth=scene.depth_m: depth.astype(np.float32),
                               'metric_depth', 0)
         found, off = (PlaneDetector(Config(directions=directions), model).detect(
-            scene.rgb, camera) for directions in (DirectionsConfig(), OFF))
+            scene.rgb, camera) for directions in (DirectionsConfig(mounting='upright'), OFF))
         assert found.gravity_source == 'image' and np.array_equal(found.labels, off.labels)
         for one, other in zip(found.planes, off.planes, strict=True):
             assert angle_deg(one.normal, other.normal) < 0.05
@@ -75,7 +75,8 @@ def test_measured_depth_is_left_alone():
 
 
 def test_a_relative_network_and_a_height_give_metres_without_an_imu():
-    config = Config(scale=ScaleConfig(camera_height=SCENE.height_m))
+    config = Config(scale=ScaleConfig(camera_height=SCENE.height_m),
+                    directions=DirectionsConfig(mounting='upright'))
     found = detect(config, network(SCENE.depth_m, 'relative_disparity'))
     assert found.scale_method == 'camera_height'
     ratio = found.depth_m / SCENE.depth_m

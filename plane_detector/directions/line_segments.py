@@ -47,15 +47,26 @@ class LineSegments:
         return np.stack([-y, x, y * self.midpoints[:, 0] - x * self.midpoints[:, 1]], axis=1)
 
 
-def detect_line_segments(rgb: np.ndarray, intrinsics: CameraIntrinsics,
+def reduced_grey(rgb: np.ndarray) -> np.ndarray:
+    """Return an image (H, W, 3) uint8 as grey (h, w) uint8, at most DETECTION_WIDTH_PX wide."""
+    height, width = rgb.shape[:2]
+    reduction = max(1.0, width / DETECTION_WIDTH_PX)
+    grey = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)
+    if reduction > 1.0:
+        size = round(width / reduction), max(round(height / reduction), 1)
+        grey = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
+    return grey
+
+
+def detect_line_segments(grey: np.ndarray, intrinsics: CameraIntrinsics,
                          covered: np.ndarray | None = None) -> LineSegments:
     """
     Find the longest straight segments.
 
     Parameters
     ----------
-    rgb : (H, W, 3) uint8
-        Rectified.
+    grey : (h, w) uint8
+        As of :func:`reduced_grey`, of a rectified image.
     intrinsics : CameraIntrinsics
         Of that image.
     covered : (H, W) bool, optional
@@ -68,12 +79,8 @@ def detect_line_segments(rgb: np.ndarray, intrinsics: CameraIntrinsics,
         border of the image.
 
     """
-    height, width = rgb.shape[:2]
+    width, height = intrinsics.width, intrinsics.height
     reduction = max(1.0, width / DETECTION_WIDTH_PX)
-    grey = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)
-    if reduction > 1.0:
-        size = round(width / reduction), max(round(height / reduction), 1)
-        grey = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
     found = cv2.createLineSegmentDetector().detect(grey)[0]
     ends_px = np.zeros((0, 2, 2)) if found is None else found.reshape(-1, 2, 2).astype(float)
     # Pixel centres: the middle of pixel 0 of the reduced image is at (reduction - 1) / 2.

@@ -1,86 +1,166 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-The posterior of the vertical from image to image: turned with the camera and blurred.
+The posterior of the vertical from view to view, turned with the camera.
 
-The rotation of the camera between two images is estimated from their lines: segments are matched
-by position and direction, and the rotation of the planes through the camera and each segment is
-found by reweighted least squares (Cauchy), because the lines of near objects move differently
-when the camera translates.
-
-Images of one view have the same evidence: it is averaged. What is new in an image is added. So the
-logarithms of the posterior before and of the evidence are weighted: for the same view with weights
-that sum to 1, the first one smaller if the turn has blurred it, for a new view with nearly 1 each,
-so that a wrong start is forgotten.
+1. The rotation of the camera from the first image of a view is that of the lines of both, and
+   where these do not match that from the image before, by its lines or by its corner points.
+2. All images of a view have the same evidence. So each is judged by what was known before its view
+   began: the same image again, with other noise or without, proves nothing.
+3. A view ends when the camera has turned. The modes of its last image, blurred by the error of the
+   rotation, are what is known before the next one.
+4. Which side of the image is below is judged by all views together, as one observation: what
+   misleads in one image of a room misleads in all.
+5. After a cut, or where nothing matches, nothing is known.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import cv2
 import numpy as np
 
 from plane_detector.directions.line_segments import LineSegments
-from plane_detector.directions.posterior import Expected
+from plane_detector.directions.posterior import Expected, Modes, Sides
 from plane_detector.directions.vanishing import SceneDirections
 from plane_detector.geometry.rigid_transform import cross
+from plane_detector.types import CameraIntrinsics
 
+# A view ends when the camera has turned by this. chosen: a tenth of a usual field of view, the
+# error of lines and normals differs; smaller views count one error of the network several times.
+VIEW_RAD = np.radians(6.0)
 # Largest motion of a matched segment's midpoint at unit focal length, and sine of its rotation.
 # chosen: 50 pixels of 525, and 6 degrees, beyond the motion of a hand within a tenth of a second.
 MATCH_DISTANCE, MATCH_SINE = 0.1, 0.1
 MIN_MATCHES = 8
 # derived: accuracy of the plane of a segment, half a pixel over its length.
 LINE_SPREAD_RAD, ROUNDS = np.radians(0.3), 5
-# Error of the estimated rotation as a multiple of its size: a camera that moves while looking at
-# the same object turns more than its image does (measured: by 0.7 degrees while the lines turn by
-# 0.3). Without a match the camera has turned by any angle of this size.
-TURN_ERROR_RATIO, STILL_RAD, UNKNOWN_TURN_RAD = 3.0, np.radians(0.2), np.radians(10.0)
-# Share of the line length that follows the rotation of a camera that does not move, and the least
-# share that determines a rotation. measured: .65 to .91 with noise of 5 grey levels, .52 to .64
-# at 30 images/s, .38 to .56 at half of that, at most .08 between views of other parts of a room.
-STILL_SHARE, LEAST_SHARE, MOST_SPREADS = 0.65, 0.2, 3.0
-# Blur at which the posterior before is worth half. chosen: of the verticals that are the same.
+# Share of the line length that follows one rotation, at least. measured: .52 to .73 at 30
+# images/s, at most .08 between views of other parts of a room.
+LEAST_SHARE, MOST_SPREADS = 0.2, 3.0
+# Corner points (ORB) of the reduced image: how many, at most so many bits apart, the spread of
+# their rays about a rotation, and the share and number of matches that follow one. measured: of
+# 3 images/s of a walk .93 to 1 of 117 to 190 matches.
+POINTS, MOST_BITS, POINT_SPREAD_RAD = 300, 50, 0.02
+LEAST_FOLLOWING, MIN_POINTS, HYPOTHESES = 0.5, 30, 24
+# Error of the estimated rotation, as a share of it and of a still camera: a camera that moves
+# while it looks at the same object turns more than its image does. measured: medians .3 of .5
+# degrees, .5 of .8, 1.6 of 4.
+TURN_ERROR_RATIO, STILL_RAD = 0.4, np.radians(0.2)
+# Error of a mode from one view to the next. chosen: of the verticals that are the same. The main
+# mode is known better than others, and would lose against them where views disagree by a few
+# degrees.
 CLOSE_RAD = np.radians(2.5)
-# Weight of the evidence of one more image of a view. tuned: 22 images with a probability below
-# 0.995, each 12 times: at 0.2 the probability rises by 0.08 in the mean, because modes are not
-# the whole posterior, from 0.27 to 0.4 it stays within 0.02; at 0.5 and with noise of 3 grey
-# levels answers come and go twice as often.
-SAME_VIEW_GAIN = 0.35
-# Share of the evidence before that a new view leaves. chosen: ten views.
+# Probability that what was known before a view still holds. chosen: a wrong start is forgotten.
 REMEMBERED = 0.9
 # The azimuth is no longer known after a turn with a larger error. chosen: that of its axes.
 LARGEST_PAIR_ERROR_RAD = np.radians(5.0)
 
 
-def carried(expected: Expected, before: SceneDirections, segments_before: LineSegments,
-            segments: LineSegments) -> Expected:
+@dataclass(frozen=True)
+class ImagePoints:
+    """Corner points of an image, found when they are needed."""
+
+    grey: np.ndarray  # (h, w) uint8: reduced
+    intrinsics: CameraIntrinsics  # of the image
+
+    @cached_property
+    def found(self) -> tuple[np.ndarray, np.ndarray | None]:
+        """Return rays (N, 3), float64 unit vectors, and descriptors (N, 32) uint8."""
+        corners, descriptors = cv2.ORB_create(
+            POINTS, nlevels=4, edgeThreshold=15, patchSize=25, fastThreshold=10
+        ).detectAndCompute(self.grey, None)
+        camera, (height, width) = self.intrinsics, self.grey.shape
+        places = np.array([corner.pt for corner in corners]).reshape(-1, 2) + 0.5
+        places = places * [camera.width / width, camera.height / height] - 0.5
+        rays = np.column_stack([(places - [camera.cx, camera.cy]) / [camera.fx, camera.fy],
+                                np.ones(len(places))])
+        return rays / np.linalg.norm(rays, axis=1, keepdims=True), descriptors
+
+
+@dataclass(frozen=True)
+class View:
+    """The view that an image belongs to."""
+
+    segments: LineSegments  # of its first image
+    rotation: np.ndarray  # (3, 3) float64: from the camera of that image to this one
+    modes: Modes | None = None  # known before it, in the frame of its first image
+    sides: Sides | None = None  # seen before it
+    rolled_rad: float = 0.0  # about the optical axis, since these sides are
+
+
+@dataclass(frozen=True)
+class Step:
+    """An image of a stream, for the next one."""
+
+    segments: LineSegments
+    points: ImagePoints | None
+    directions: SceneDirections
+    view: View
+    sides: Sides | None  # of its view and all before
+
+
+def first_view(segments: LineSegments) -> View:
+    """Return the view of an image of which nothing is known before."""
+    return View(segments, np.eye(3))
+
+
+def carried(expected: Expected, last: Step, segments: LineSegments,
+            points: ImagePoints | None) -> tuple[Expected, View]:
     """
-    Return what is expected of an image after another one.
+    Return what is expected of an image after another one, and its view.
 
     Parameters
     ----------
     expected : Expected
         Without the images before.
-    before : SceneDirections
-        Of the image before, in the frame of its camera.
-    segments_before, segments : LineSegments
-        Of both images.
+    last : Step
+        The image before.
+    segments : LineSegments
+    points : ImagePoints, optional
 
     """
-    turn, share = turn_between_images(segments_before, segments)
-    error_rad = np.hypot(TURN_ERROR_RATIO * np.linalg.norm(turn), STILL_RAD)
+    view = last.view
+    turn, share = turn_between_images(view.segments, segments)
     if share < LEAST_SHARE:
-        turn, share, error_rad = np.zeros(3), 0.0, UNKNOWN_TURN_RAD
-    rotation, is_new = cv2.Rodrigues(turn)[0], max(0.0, 1 - share / STILL_SHARE)
-    sharp = CLOSE_RAD**2 / (CLOSE_RAD**2 + error_rad**2)
-    gain = is_new + (1 - is_new) * (1 - sharp * (1 - SAME_VIEW_GAIN))
-    modes = replace(
-        before.modes, downs=before.modes.downs @ rotation.T,
-        covariances=rotation @ before.modes.covariances @ rotation.T + error_rad**2 * np.eye(3))
-    has_pair = len(before.pairs) and error_rad < LARGEST_PAIR_ERROR_RAD
-    return replace(expected, before=modes, pair=before.pairs[0] @ rotation.T if has_pair else None,
-                   pair_rad=error_rad, new=gain, kept=1 - gain + REMEMBERED * is_new)
+        step, share = turn_between_images(last.segments, segments)
+        if share < LEAST_SHARE and points is not None and last.points is not None:
+            step, share = turn_between_points(last.points, points)
+        if share < LEAST_SHARE:
+            return expected, first_view(segments)
+        rotation = cv2.Rodrigues(step)[0] @ view.rotation
+        turn = cv2.Rodrigues(rotation)[0][:, 0]
+    # Of a camera that stands, what is measured is noise.
+    square = float(turn @ turn)
+    turn = turn * (square / (square + STILL_RAD**2))
+    view = replace(view, rotation=cv2.Rodrigues(turn)[0])
+    step = view.rotation @ last.view.rotation.T
+    step_error_rad = _turn_error_rad(cv2.Rodrigues(step)[0])
+    before, pairs = last.directions.modes, last.directions.pairs
+    if np.linalg.norm(turn) > VIEW_RAD:
+        rolled_rad = view.rolled_rad + float(np.arctan2(view.rotation[1, 0], view.rotation[0, 0]))
+        view = View(segments, np.eye(3), _turned(
+            before, step, float(np.hypot(step_error_rad, CLOSE_RAD))), last.sides, rolled_rad)
+        if abs(rolled_rad) > np.pi / 4:
+            view = replace(view, sides=None, rolled_rad=0.0)
+    has_pair = len(pairs) and step_error_rad < LARGEST_PAIR_ERROR_RAD
+    return replace(
+        expected,
+        before=view.modes and _turned(view.modes, view.rotation, _turn_error_rad(turn)),
+        kept=REMEMBERED, last=_turned(before, step, step_error_rad),
+        pair=pairs[0] @ step.T if has_pair else None, pair_rad=step_error_rad), view
+
+
+def _turn_error_rad(turn: np.ndarray) -> float:
+    return float(np.hypot(TURN_ERROR_RATIO * np.linalg.norm(turn), STILL_RAD))
+
+
+def _turned(modes: Modes, rotation: np.ndarray, error_rad: float) -> Modes:
+    return replace(
+        modes, downs=modes.downs @ rotation.T,
+        covariances=rotation @ modes.covariances @ rotation.T + error_rad**2 * np.eye(3))
 
 
 def turn_between_images(before: LineSegments, after: LineSegments) -> tuple[np.ndarray, float]:
@@ -124,3 +204,44 @@ def _matches(before: LineSegments, after: LineSegments) -> tuple[np.ndarray, np.
 
 def _plane_normals(segments: LineSegments) -> np.ndarray:
     return segments.normals / np.linalg.norm(segments.normals, axis=1, keepdims=True)
+
+
+def turn_between_points(before: ImagePoints, after: ImagePoints) -> tuple[np.ndarray, float]:
+    """
+    Return the rotation vector (3,) from the camera frame before to that after, and its support.
+
+    The support is the share of the matched points that follow this rotation; 0 if unknown. It is
+    the best rotation of two matches, refitted to all by reweighted least squares.
+    """
+    (rays_before, first), (rays_after, second) = before.found, after.found
+    if first is None or second is None:
+        return np.zeros(3), 0.0
+    matches = [match for match in cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True).match(
+        first, second) if match.distance < MOST_BITS]
+    if len(matches) < MIN_POINTS:
+        return np.zeros(3), 0.0
+    rays_before = rays_before[[match.queryIdx for match in matches]]
+    rays_after = rays_after[[match.trainIdx for match in matches]]
+    # The best matches come in the order of the points; pairs far apart in it are so in the image.
+    order = np.argsort([match.distance for match in matches], kind='stable')[:2 * HYPOTHESES]
+    one, other = order[:len(order) // 2], order[::-1][:len(order) // 2]
+    rotations = _from_pairs(rays_after[one], rays_after[other]) @ _from_pairs(
+        rays_before[one], rays_before[other]).transpose(0, 2, 1)
+    off = np.linalg.norm(rays_before @ rotations.transpose(0, 2, 1) - rays_after, axis=2)
+    rotation = rotations[(1 / (1 + (off / POINT_SPREAD_RAD) ** 2)).sum(axis=1).argmax()]
+    for _ in range(ROUNDS):
+        turned = rays_before @ rotation.T
+        residual = rays_after - turned
+        weight = 1 / (1 + (residual**2).sum(1) / POINT_SPREAD_RAD**2)
+        moment = (weight.sum() + 1e-9) * np.eye(3) - (turned.T * weight) @ turned
+        turn = cv2.solve(moment, (weight @ cross(turned, residual))[:, None])[1]
+        rotation = cv2.Rodrigues(turn)[0] @ rotation
+    follows = (np.linalg.norm(residual, axis=1) < MOST_SPREADS * POINT_SPREAD_RAD).mean()
+    return cv2.Rodrigues(rotation)[0][:, 0], float(follows) * (follows > LEAST_FOLLOWING)
+
+
+def _from_pairs(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Return orthonormal columns (N, 3, 3), the first along rays (N, 3), by second ones (N, 3)."""
+    normal = cross(first, second) + 1e-12
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    return np.stack([first, normal, cross(first, normal)], axis=2)

@@ -4,8 +4,7 @@
 Directions of a calibrated image: the vertical and pairs of horizontal axes.
 
 1. The main mode of the posterior is fitted to its segments; the probability is that of the
-   verticals near this answer. Which of the three axes is the vertical, the lines do not show: the
-   prior does, and the surfaces of the depth.
+   verticals near this answer, less that of a roof.
 2. Its level lines may be those of a floor that rises: the upright lines alone decide.
 3. Its upright lines may be those of a thing that leans, a ladder or a fence: all else decides.
    What remains is the probability of the vertical.
@@ -31,9 +30,8 @@ from plane_detector.directions.posterior import (
     Expected,
     Modes,
     collect_evidence,
-    is_held,
     log_likelihood,
-    log_prior_density,
+    prior_density,
     turn_between,
     upright_posterior,
 )
@@ -110,11 +108,12 @@ def find_directions(segments: LineSegments, evidence: Evidence | None = None,
     expected = expected or Expected()
     axes, posterior = upright_posterior(evidence, expected)
     axes = _fitted(segments, axes, (0, 1, 2)).axes
-    axes, share = _likely_vertical(axes, evidence, expected)
-    modes = _shared(posterior.modes(axes[0]), axes, share)
+    modes = posterior.modes(axes[0])
+    roof_share = _share_under_roof(axes, evidence, expected)
     level_share, axes, rises = _if_it_rises(axes, evidence)
     gain = _gain(segments, axes, evidence, expected)
-    share = level_share * (1 - LEANING) / (1 - LEANING + LEANING * np.exp(-gain))
+    share = ((1 - roof_share) * level_share
+             * (1 - LEANING) / (1 - LEANING + LEANING * np.exp(-gain)))
     pairs = NO_PAIRS if rises else _pairs(segments, evidence, axes[0], expected)
     fit = _fitted(segments, np.vstack([axes[:1], *pairs[:1]]) if len(pairs) else axes,
                   (0, 1, 2) if len(pairs) else (0,))
@@ -122,7 +121,8 @@ def find_directions(segments: LineSegments, evidence: Evidence | None = None,
     modes = replace(
         modes, downs=np.vstack([down, modes.downs[1:]]),
         covariances=np.concatenate([covariance[None], modes.covariances[1:]]),
-        masses=np.concatenate([share * modes.masses[:1], modes.masses[1:]]), gain=gain)
+        masses=np.concatenate([share * modes.masses[:1], modes.masses[1:]]),
+        unsided=np.concatenate([share * modes.unsided[:1], modes.unsided[1:]]), gain=gain)
     probability = float(modes.masses[0])
     if probability < MIN_PROBABILITY:
         reason = (f'{len(segments)} straight lines and the depth leave the vertical open: the '
@@ -134,39 +134,26 @@ def find_directions(segments: LineSegments, evidence: Evidence | None = None,
     across = np.eye(3) - np.outer(down, down)
     refusal = ('no horizontal axes are perpendicular to the upright lines' if rises else
                'the lines and the depth leave the azimuth of the horizontal axes open')
+    # A wrong focal length tilts a direction towards or away from the optical axis.
+    along = across[:, 2:] * evidence.focal_error * down[2]
     return SceneDirections(
-        down, across @ covariance @ across + np.radians(SYSTEMATIC_DEG) ** 2 * across, pairs, '',
+        down, across @ covariance @ across + np.radians(SYSTEMATIC_DEG) ** 2 * across
+        + along @ along.T, pairs, '',
         '' if len(pairs) else refusal, probability, modes)
 
 
-def _likely_vertical(axes: np.ndarray, evidence: Evidence,
-                     expected: Expected) -> tuple[np.ndarray, float]:
-    """Return axes (3, 3) with the most likely one as the vertical, and its share of the three."""
-    if expected.down is not None:
-        return axes, 1.0
-    named = np.stack([sign * np.roll(axes, -k, axis=0) * [[1], [1], [sign]]
-                      for k in range(3) for sign in (1, -1)])
-    named = named[is_held(named[:, 0])]
-    if not len(named):
-        return axes, 1.0
-    slope = np.radians(ROOF_DEG if len(evidence.normals) else [])[:, None]
-    downs = np.concatenate([named[:, 0], *(
+def _share_under_roof(axes: np.ndarray, evidence: Evidence, expected: Expected) -> float:
+    """Return the probability that two of the axes (3, 3) are the slopes of a roof."""
+    if expected.down is not None or not len(evidence.normals):
+        return 0.0
+    slope = np.radians(ROOF_DEG)[:, None]
+    under_roof = np.concatenate([
         first * np.cos(slope) * axes[k] + second * np.sin(slope) * axes[k - 1]
-        for k in range(3) for first in (1, -1) for second in (1, -1))])
-    score = log_prior_density(downs, expected, evidence, FINE_ERROR_DEG)
-    mass = np.exp(score - score[:len(named)].max())
-    mass, under_roof = mass[:len(named)], mass[len(named):].sum() * ROOF / max(len(slope), 1)
-    return named[mass.argmax()], float(mass.max() / (mass.sum() + under_roof))
-
-
-def _shared(modes: Modes, axes: np.ndarray, share: float) -> Modes:
-    """Return modes whose first one has a share of its mass and of those along another axis."""
-    along = np.abs(modes.downs @ axes[1:].T).max(1) > np.cos(np.radians(SAME_AXIS_DEG))
-    along[0] = True
-    masses, total = modes.masses.copy(), modes.masses[along].sum()
-    masses[along] *= (1 - share) * total / max(masses[along][1:].sum(), 1e-12)
-    masses[0] = share * total
-    return replace(modes, masses=masses)
+        for k in range(3) for first in (1, -1) for second in (1, -1)])
+    density = prior_density(np.concatenate([axes, -axes, under_roof]), expected, evidence,
+                            FINE_ERROR_DEG)[0]
+    mass = density[6:].sum() * ROOF / len(slope)
+    return float(mass / (density[:6].sum() + mass))
 
 
 def _fitted(segments: LineSegments, axes: np.ndarray, used: tuple[int, ...]) -> FrameFit:
@@ -211,7 +198,7 @@ def _gain(segments: LineSegments, axes: np.ndarray, evidence: Evidence,
           expected: Expected) -> float:
     """Return the log likelihood of all but the upright lines, of this image and those before."""
     others = replace(evidence, lines=evidence.lines[_is_off(segments, axes[:1])])
-    gain = expected.new * _log_likelihood(axes[None], others)[1].item()
+    gain = _log_likelihood(axes[None], others)[1].item()
     before = expected.before
     if before is not None and before.downs[0] @ axes[0] > np.cos(np.radians(CLOSE_DEG)):
         gain += expected.kept * before.gain
@@ -244,7 +231,7 @@ def _pairs(segments: LineSegments, evidence: Evidence, down: np.ndarray,
         elif expected.pair is not None:
             off_rad = np.arccos(np.clip(np.abs(axes[:, 0] @ expected.pair.T).max(1), 0, 1))
             seen = np.exp(-0.5 * off_rad**2 / (expected.pair_rad**2 + RANDOM_RAD**2))
-            mass *= 1 + expected.kept * HELD_AXES_ODDS * len(angle) * seen / seen.sum()
+            mass *= 1 + HELD_AXES_ODDS * len(angle) * seen / seen.sum()
         best = mass.argmax()
         off = (np.arange(90) - best + 45) % 90 - 45
         near = np.abs(off) <= CLOSE_AZIMUTH_DEG
@@ -266,7 +253,7 @@ def _averaged(fit: FrameFit, mode: np.ndarray,
     if np.isfinite(fit.covariance).all():
         of_lines = turn.T @ fit.covariance @ turn + RANDOM_RAD**2 * np.eye(3)
         covariance = np.linalg.inv(np.linalg.inv(of_lines) + np.linalg.inv(mode))
-    before = expected.before
+    before = expected.last
     if before is None or before.downs[0] @ down < np.cos(np.radians(CLOSE_DEG)):
         return down, covariance
     known = before.covariances[0] + MIN_GAIN / (1 - MIN_GAIN) * covariance

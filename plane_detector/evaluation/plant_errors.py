@@ -166,9 +166,8 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
         ('self.downs[is_near] - down', 'self.downs[is_near] + down',
          'the spread of a mode about its opposite'),
         ('(1 - USUAL_RATIO) - near', '(1 - USUAL_RATIO) - far', 'the usual shift at the far end'),
-        ('bases[:, 0], mass', '-bases[:, 0], mass', 'gravity points up'),
-        ('1] + np.sin(angle) * bases[best, 2',
-         '2] + np.sin(angle) * bases[best, 1', 'swapped axes')),
+        ('Posterior(downs[kept], masses', 'Posterior(-downs[kept], masses', 'gravity points up'),
+        ('(best % 3 + 1) % 3', 'best % 3', 'the vertical is its own horizontal axis')),
     'directions/gravity_choice.py': (
         ('LIKELY_SIGMAS * float(sigma', 'LIKELY_SIGMAS / float(sigma',
          'the surest vertical is off most'),

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tests of the directions of consecutive images."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import cv2
@@ -13,8 +14,8 @@ from plane_detector.directions import finder
 from plane_detector.directions.finder import CameraImage, DirectionFinder, find_in_image
 from plane_detector.directions.posterior import (
     Expected,
-    log_likelihood_of_turns,
     log_odds_down,
+    sides_of,
     usual_inverse_depth,
 )
 from plane_detector.directions.vanishing import SceneDirections
@@ -56,8 +57,9 @@ def test_axes_are_gravity_and_both_directions_of_each_pair():
 @pytest.mark.parametrize('seed', [303, 304, 313])
 def test_the_slopes_of_a_roof_do_not_outvote_floor_and_gable(seed):
     scene = textured(attic, seed)
-    image = CameraImage(scene.rgb, scene.intrinsics, disparity=1 / scene.depth_m)
-    found = find_in_image(image, Expected(np.array([0.0, 1.0, 0.0]))).directions
+    image = CameraImage(scene.rgb, scene.intrinsics, disparity=1 / scene.depth_m,
+                        is_measured=True)
+    found = find_in_image(image, Expected(np.array([0.0, 1.0, 0.0]), 6.0)).directions
     assert found.gravity_camera @ scene.gravity_camera > np.cos(np.radians(1.0))
 
 
@@ -65,7 +67,8 @@ def test_the_slopes_of_a_roof_do_not_outvote_floor_and_gable(seed):
 def test_the_ridge_of_a_roof_is_not_surely_the_vertical(seed):
     """Two slopes and a gable look like two walls and a floor from above."""
     scene = textured(attic, seed)
-    image = CameraImage(scene.rgb, scene.intrinsics, disparity=1 / scene.depth_m)
+    image = CameraImage(scene.rgb, scene.intrinsics, disparity=1 / scene.depth_m,
+                        is_measured=True)
     assert find_in_image(image).directions.probability < 0.92  # was .94 and 1.00
 
 
@@ -78,7 +81,7 @@ def mounted(scene, turns):
         camera = CameraIntrinsics(camera.fy, camera.fx, camera.cy, camera.width - 1 - camera.cx,
                                   camera.height, camera.width)
         gravity = np.array([gravity[1], -gravity[0], gravity[2]])
-    return CameraImage(rgb, camera, disparity=disparity), gravity
+    return CameraImage(rgb, camera, disparity=disparity, is_measured=True), gravity
 
 
 @pytest.mark.parametrize(('make', 'seeds', 'least', 'most_wrong'), [
@@ -105,6 +108,77 @@ def test_a_stated_mounting_gives_the_vertical_of_a_turned_camera(turns):
     assert found.gravity_camera @ gravity > np.cos(np.radians(1))
 
 
+def test_the_same_image_again_is_not_surer_than_alone():
+    """Along a corridor nothing tells the mounting."""
+    image, _ = mounted(textured(corridor, 8006), 0)
+    alone = found = find_in_image(image)
+    assert alone.directions.gravity_camera is None
+    for _ in range(12):
+        found = find_in_image(image, before=found)
+        assert found.directions.gravity_camera is None
+        assert found.directions.probability < alone.directions.probability + 0.02
+
+
+@pytest.mark.parametrize('turns', [0, 2])
+@pytest.mark.parametrize('is_measured', [False, True])
+def test_after_a_cut_an_image_is_judged_alone(turns, is_measured):
+    first, second = (replace(mounted(textured(random_room, seed), turn)[0],
+                             is_measured=is_measured) for seed, turn in ((303, 0), (305, turns)))
+    alone = find_in_image(second).directions
+    after = find_in_image(second, before=find_in_image(first)).directions
+    assert after.probability == pytest.approx(alone.probability, abs=1e-9)
+    assert (after.gravity_camera is None) == (alone.gravity_camera is None)
+
+
+@pytest.mark.parametrize('turns', [1, 2, 3])
+def test_a_network_alone_does_not_tell_the_side_that_is_below(turns):
+    """Networks find a floor at the bottom of the image, whatever is there."""
+    scene = textured(random_room, 303)
+    image, gravity = mounted(scene, turns)
+    upright = mounted(scene, 0)[0].disparity
+    shown = upright if turns == 2 else cv2.resize(upright, image.disparity.shape[::-1])
+    image = replace(image, disparity=shown, is_measured=False)
+    found = None
+    for _ in range(4):
+        found = find_in_image(image, before=found)
+        down = found.directions.gravity_camera
+        assert down is None or down @ gravity > np.cos(np.radians(5))
+
+
+def test_who_knows_that_the_camera_is_upright_gets_the_vertical():
+    image, gravity = mounted(textured(corridor, 8006), 0)
+    down = find_in_image(image, mounting='upright').directions.gravity_camera
+    assert down @ gravity > np.cos(np.radians(1))
+
+
+def test_a_guessed_lens_gives_a_direction_with_a_larger_error():
+    scene = textured(random_room, 303)
+    image, gravity = mounted(scene, 0)
+    known, guessed = (find_in_image(replace(image, is_lens_guessed=guess)).directions
+                      for guess in (False, True))
+    assert guessed.probability <= known.probability + 0.01
+    tilt = np.arcsin(abs(gravity[2]))
+    wrong_rad = 0.15 * np.sin(tilt) * np.cos(tilt)
+    if guessed.gravity_camera is not None:
+        added = np.trace(guessed.covariance) - np.trace(known.covariance)
+        assert added > 0.5 * wrong_rad**2
+
+
+def test_lines_from_before_an_imu_are_not_used_after_it(monkeypatch):
+    times, finder = [], DirectionFinder()
+    nothing = SimpleNamespace(directions=SimpleNamespace(gravity_camera=None, refusal=''))
+    monkeypatch.setattr('plane_detector.directions.finder.find_in_image',
+                        lambda image, *_: times.append(image.stamp_s) or nothing)
+    walls = Planes.of([Plane(normal, 2.0, -2.0 * normal, 5000, 0.0, 1.0, np.eye(4), 1.0,
+                             label=k + 1) for k, normal in enumerate(-np.eye(3)[[2, 0]])])
+    config = Config(directions=DirectionsConfig(hold_time=0.5))
+    for step in range(12):
+        down = np.array([0.0, 1.0, 0.0]) if 2 <= step < 10 else None
+        finder.find(CameraImage(None, CAMERA, stamp_s=1 + step / 10, is_still=True), down, config)
+        finder.note_planes(PlaneSegmentation(walls, np.zeros((100, 100), np.int32), 0.0), True)
+    assert times == [1.0, 2.0]
+
+
 def test_depth_without_a_surface_leaves_the_mounting_open():
     scene = textured(random_room, 300)
     nothing = np.full(scene.depth_m.shape, np.nan, np.float32)
@@ -114,12 +188,12 @@ def test_depth_without_a_surface_leaves_the_mounting_open():
 
 def test_gravity_points_to_what_faces_upwards():
     floor, wall = np.tile([0.0, 1.0, 0.0], (40, 1)), np.tile([1.0, 0.0, 0.0], (20, 1))
-    seen = log_likelihood_of_turns(np.vstack([floor, wall, -wall]))
+    seen = sides_of(np.vstack([floor, wall, -wall])).log_likelihood
     assert (seen[0], seen.argmin()) == (0, 2) and seen[1] == pytest.approx(seen[3])
-    assert log_likelihood_of_turns(-floor).argmax() == 2
-    tube = log_likelihood_of_turns(np.vstack([floor, -floor, wall, -wall]))
+    assert sides_of(-floor).log_likelihood.argmax() == 2
+    tube = sides_of(np.vstack([floor, -floor, wall, -wall])).log_likelihood
     assert tube == pytest.approx(np.zeros(4), abs=1)
-    assert log_likelihood_of_turns(floor[:0]).tolist() == [0] * 4
+    assert sides_of(floor[:0]).log_likelihood.tolist() == [0] * 4
 
 
 def tiles(roll_deg):
@@ -147,7 +221,8 @@ def test_a_camera_that_looks_straight_down_is_found_at_any_azimuth():
     wrong = right = 0
     for seed in range(300, 308):
         scene = textured(room_from_above, seed)
-        image = CameraImage(scene.rgb, scene.intrinsics, disparity=1 / scene.depth_m)
+        image = CameraImage(scene.rgb, scene.intrinsics, disparity=1 / scene.depth_m,
+                        is_measured=True)
         down = find_in_image(image).directions.gravity_camera
         if down is not None:
             is_right = down @ scene.gravity_camera > np.cos(np.radians(5))
@@ -189,8 +264,8 @@ def test_a_usual_shift_makes_the_near_tenth_twice_as_near_as_the_far_one():
 
 def test_normals_at_a_guessed_shift_are_no_evidence(monkeypatch):
     given, collect = [], finder.collect_evidence
-    monkeypatch.setattr(finder, 'collect_evidence', lambda segments, surface, *by_depth: (
-        given.append(surface), collect(segments, surface, *by_depth))[1])
+    monkeypatch.setattr(finder, 'collect_evidence', lambda segments, surface, *by_depth, **lens: (
+        given.append(surface), collect(segments, surface, *by_depth, **lens))[1])
     disparity = np.tile(np.linspace(0.2, 0.6, 480, dtype=np.float32)[:, None], (1, 640))
     for has_shift in (False, True):
         find_in_image(CameraImage(tiles(5), CAMERA, disparity=disparity, has_shift=has_shift))
@@ -199,7 +274,8 @@ def test_normals_at_a_guessed_shift_are_no_evidence(monkeypatch):
 
 def test_a_wall_ahead_with_a_floor_is_still_a_wall():
     scene = textured(random_room, 2007)  # most of it is within ten degrees of the image plane
-    image = CameraImage(scene.rgb, scene.intrinsics, disparity=1 / scene.depth_m)
+    image = CameraImage(scene.rgb, scene.intrinsics, disparity=1 / scene.depth_m,
+                        is_measured=True)
     found = find_in_image(image).directions
     assert found.modes.downs[0] @ scene.gravity_camera > np.cos(np.radians(2))
 

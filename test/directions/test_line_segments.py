@@ -6,11 +6,19 @@ import cv2
 import numpy as np
 import pytest
 
-from plane_detector.directions.line_segments import detect_line_segments, segments_from_pixels
+from plane_detector.directions.line_segments import (
+    detect_line_segments,
+    reduced_grey,
+    segments_from_pixels,
+)
 from plane_detector.directions.posterior import surface_normals
 from plane_detector.types import CameraIntrinsics
 
 CAMERA = CameraIntrinsics(500.0, 500.0, 319.5, 239.5, 640, 480)
+
+
+def found_in(rgb, camera=CAMERA, covered=None):
+    return detect_line_segments(reduced_grey(rgb), camera, covered)
 
 
 def half_plane(start, end):
@@ -24,7 +32,7 @@ def half_plane(start, end):
 
 @pytest.mark.parametrize('ends', [((100, 400), (500, 60)), ((200, 0), (220, 479))])
 def test_an_edge_is_found_to_a_fraction_of_a_pixel(ends):
-    found = detect_line_segments(half_plane(*ends), CAMERA).ends_px[0]
+    found = found_in(half_plane(*ends)).ends_px[0]
     along = np.subtract(ends[1], ends[0]) / np.hypot(*np.subtract(ends[1], ends[0]))
     off_px = (found - ends[0]) @ [along[1], -along[0]]
     assert np.abs(off_px).max() < 0.6
@@ -40,20 +48,20 @@ def test_segments_are_in_units_of_the_focal_length():
 
 
 def test_a_flat_image_has_none():
-    assert len(detect_line_segments(np.full((480, 640, 3), 90, np.uint8), CAMERA)) == 0
+    assert len(found_in(np.full((480, 640, 3), 90, np.uint8))) == 0
 
 
 def test_the_border_of_the_image_is_no_line_of_the_scene():
     image = np.full((480, 640, 3), 255, np.uint8)
     cv2.rectangle(image, (9, 9), (630, 470), (60, 60, 60), -1)
-    assert len(detect_line_segments(image, CAMERA)) == 0
+    assert len(found_in(image)) == 0
 
 
 def test_segments_are_sorted_by_length_without_short_ones():
     image = np.full((480, 640, 3), 60, np.uint8)
     for length, row in ((20, 60), (200, 200), (400, 340)):
         cv2.rectangle(image, (100, row), (100 + length, row + 40), (200, 200, 200), -1)
-    lengths_px = detect_line_segments(image, CAMERA).lengths * CAMERA.fx
+    lengths_px = found_in(image).lengths * CAMERA.fx
     assert (np.diff(lengths_px) < 0.01).all()
     assert lengths_px[0] == pytest.approx(400, abs=10)
     assert lengths_px[-1] >= 0.05 * 640
@@ -64,10 +72,10 @@ def test_lines_along_the_border_of_the_covered_area_are_dropped():
     covered = np.zeros((480, 640), bool)
     covered[100:400, 120:520] = True
     image[covered] = 150
-    assert len(detect_line_segments(image, CAMERA)) > 0
-    assert len(detect_line_segments(image, CAMERA, covered)) == 0
+    assert len(found_in(image)) > 0
+    assert len(found_in(image, CAMERA, covered)) == 0
     cv2.rectangle(image, (250, 200), (400, 300), (40, 40, 40), -1)
-    assert len(detect_line_segments(image, CAMERA, covered)) >= 4
+    assert len(found_in(image, CAMERA, covered)) >= 4
 
 
 @pytest.mark.parametrize('width, height, normals', [
@@ -75,5 +83,5 @@ def test_lines_along_the_border_of_the_covered_area_are_dropped():
 def test_an_image_of_a_few_rows_or_columns_gives_no_error(width, height, normals):
     camera = CameraIntrinsics(1000.0, 1000.0, width / 2, height / 2, width, height)
     rgb = np.full((height, width, 3), 90, np.uint8)
-    assert len(detect_line_segments(rgb, camera)) == 0
+    assert len(found_in(rgb, camera)) == 0
     assert len(surface_normals(np.ones((height, width), np.float32), camera)) == normals

@@ -8,13 +8,20 @@ import pytest
 
 from plane_detector.directions.line_segments import LineSegments, segments_from_pixels
 from plane_detector.directions.posterior import Expected
-from plane_detector.directions.temporal_filter import carried, turn_between_images
+from plane_detector.directions.temporal_filter import (
+    ImagePoints,
+    Step,
+    carried,
+    first_view,
+    turn_between_images,
+    turn_between_points,
+)
 from plane_detector.directions.vanishing import MIN_PROBABILITY, find_directions
 from plane_detector.evaluation.metrics import angle_deg
 from plane_detector.types import CameraIntrinsics
 
 CAMERA = CameraIntrinsics(500.0, 500.0, 319.5, 239.5, 640, 480)
-FRAME = cv2.Rodrigues(np.radians([15.0, 5.0, 4.0]))[0][[1, 0, 2]]
+FRAME = cv2.Rodrigues(np.radians([-15.0, 5.0, 4.0]))[0][[1, 0, 2]]
 
 
 def turn(x_deg=0.0, y_deg=0.0, z_deg=0.0):
@@ -38,11 +45,13 @@ def nothing() -> LineSegments:
 
 def every(images):
     """Return the directions of these images, found one after another."""
-    found, before = [], None
+    found, last = [], None
     for segments in images:
-        expected = carried(Expected(), found[-1], before, segments) if found else Expected()
+        expected, view = Expected(), first_view(segments)
+        if last is not None:
+            expected, view = carried(expected, last, segments, None)
         found.append(find_directions(segments, expected=expected))
-        before = segments
+        last = Step(segments, None, found[-1], view, None)
     return found
 
 
@@ -94,8 +103,9 @@ def test_a_turning_camera_does_not_lag():
 
 
 def test_images_that_leave_it_open_are_answered_by_those_before():
-    rotations = [turn(0.4 * k, 0, 0) for k in range(4)]
-    images = [room(rotations[0])] + [room(rotation, axes=(0,)) for rotation in rotations]
+    """Of the views before: of the same view the lines would be counted twice."""
+    rotations = [turn(2 * k, 0, 0) for k in range(6)]
+    images = [room(rotation) for rotation in rotations] + [room(rotations[-1], axes=(0,))]
     found = walk(images)
     assert find_directions(images[-1]).gravity_camera is None
     assert angle_deg(found.gravity_camera, rotations[-1] @ FRAME[0]) < 0.5
@@ -115,8 +125,23 @@ def test_an_image_without_lines_is_not_answered():
 def test_level_axes_are_held_by_a_still_camera_only():
     level, posts = room(), room(axes=(0,))
     both = segments_from_pixels(np.concatenate([level.ends_px, posts.ends_px]), CAMERA)
-    assert len(walk([both, posts]).pairs) == 1
-    assert not len(walk([both, room(turn(0, 4.0, 0), axes=(0,))]).pairs)
+    assert len(walk([both, both]).pairs) == 1
+    assert not len(walk([both, room(turn(0, 60.0, 0), axes=(0,), seed=1)]).pairs)
+
+
+def test_the_turn_of_corner_points_is_that_of_the_camera():
+    """Between images that are too far apart for lines."""
+    grey = cv2.resize(np.random.default_rng(0).integers(0, 256, (60, 80)).astype(np.uint8),
+                      (320, 240), interpolation=cv2.INTER_CUBIC)
+    matrix = np.array([[250.0, 0, 159.5], [0, 250.0, 119.5], [0, 0, 1]])
+    rotation = turn(3.0, 8.0, -5.0)
+    after = cv2.warpPerspective(grey, matrix @ rotation @ np.linalg.inv(matrix), (320, 240))
+    camera = CameraIntrinsics(250.0, 250.0, 159.5, 119.5, 320, 240)
+    found, share = turn_between_points(ImagePoints(grey, camera), ImagePoints(after, camera))
+    assert angle_deg(cv2.Rodrigues(found)[0] @ [0, 0, 1], rotation @ [0, 0, 1]) < 0.3
+    assert share > 0.8
+    other = np.random.default_rng(1).integers(0, 256, (240, 320)).astype(np.uint8)
+    assert turn_between_points(ImagePoints(grey, camera), ImagePoints(other, camera))[1] == 0
 
 
 def test_a_sharp_direction_decides_between_axes():

@@ -7,7 +7,11 @@ import numpy as np
 import pytest
 
 from plane_detector.directions.frames import fit_frame
-from plane_detector.directions.line_segments import detect_line_segments, segments_from_pixels
+from plane_detector.directions.line_segments import (
+    detect_line_segments,
+    reduced_grey,
+    segments_from_pixels,
+)
 from plane_detector.directions.posterior import (
     CELL_RAD,
     Evidence,
@@ -35,7 +39,7 @@ def angle_deg(a, b):
 
 
 def directions_of(rgb):
-    return find_directions(detect_line_segments(rgb, VGA))
+    return find_directions(detect_line_segments(reduced_grey(rgb), VGA))
 
 
 def project(start, end):
@@ -119,7 +123,8 @@ def test_a_floor_or_walls_in_the_depth_show_that_level_lines_are_level(seen):
 def test_a_mode_has_the_spread_of_its_verticals():
     angles = np.radians([-2.0, 2.0])
     downs = np.column_stack([np.zeros(2), np.cos(angles), np.sin(angles)])
-    modes = Posterior(downs, np.array([0.5, 0.5])).modes(np.array([0.0, 1.0, 0.0]))
+    half = np.array([0.5, 0.5])
+    modes = Posterior(downs, half, half).modes(np.array([0.0, 1.0, 0.0]))
     spread = np.sqrt(np.diag(modes.covariances[0] - CELL_RAD**2 / 12 * np.eye(3)))
     np.testing.assert_allclose(spread, [0, 0, np.sin(angles[1])], atol=1e-3)
     assert modes.masses.tolist() == [1.0]

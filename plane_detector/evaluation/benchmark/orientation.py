@@ -68,7 +68,8 @@ def report_gravity(name: str, found: Sequence[Frame]) -> None:
 
 def _directions(rgb: np.ndarray, intrinsics: CameraIntrinsics,
                 disparity: np.ndarray | None = None) -> SceneDirections:
-    return find_in_image(CameraImage(rgb, intrinsics, disparity=disparity)).directions
+    return find_in_image(CameraImage(rgb, intrinsics, disparity=disparity,
+                                     is_measured=disparity is not None)).directions
 
 
 def _summary(errors: Sequence[float], asked: int) -> str:
