@@ -285,13 +285,14 @@ def mark_ground(depth_m, labels, lines, ways, ray_x, ray_y, planes, down, is_gro
 def mark_drops(depth_m, labels, ground, lines, ways, ray_x, ray_y, planes, down, is_ground, own,
                min_drop, error):
     """
-    Return the ends of the ground with a lower surface behind, (N, 7), by every second way.
+    Return the ends of the ground with a lower surface behind, (N, 8), by every second way.
 
-    Columns are x y z, the drop, the way, and depth and range at which the ground would have been
-    seen next. The drop is NaN where nothing is seen behind the end. Metres.
+    Columns are x y z, the drop, the way, depth and range at which the ground would have been seen
+    next, and the depth measured at the end. The drop is NaN where nothing is seen behind the end,
+    the last three are 0 where something is. Metres.
     """
     height, width = depth_m.shape
-    found, count, planes_count = np.empty((2 * ways, 7)), 0, len(is_ground) - 1
+    found, count, planes_count = np.empty((2 * ways, 8)), 0, len(is_ground) - 1
     # Of each way: where the ground was seen last, on which plane and how deep; then how many
     # pixels are lower, and how many neither that nor ground.
     end, end_k = np.full(ways, -1, np.int32), np.full(ways, -1, np.int32)
@@ -352,7 +353,7 @@ def mark_drops(depth_m, labels, ground, lines, ways, ray_x, ray_y, planes, down,
                     if count < len(found):
                         row = found[count]
                         row[0], row[1], row[2] = x_end * end_z[w], y_end * end_z[w], end_z[w]
-                        row[3], row[4], row[5], row[6] = drop[w], w, 0.0, 0.0
+                        row[3], row[4], row[5], row[6], row[7] = drop[w], w, 0.0, 0.0, 0.0
                         pending[w], pending_k[w], pending_end[w] = count, e, end[w]
                         count += 1
                     end_k[w] = -1
@@ -378,7 +379,7 @@ def mark_drops(depth_m, labels, ground, lines, ways, ray_x, ray_y, planes, down,
                 farthest[0], farthest[1] = max(farthest[0], u), max(farthest[1], v)
     for w in range(0, ways, 2):
         e = end_k[w]
-        if e < 0 or lower[w] > 0 or count == len(found):
+        if e < 0 or count == len(found):
             continue
         i = len(lines) - 1
         while i > end[w] and not (lines[i, 6] <= w < lines[i, 7]
@@ -400,6 +401,9 @@ def mark_drops(depth_m, labels, ground, lines, ways, ray_x, ray_y, planes, down,
             z = _depth_on(planes, e, x, y)
             row[5] = z if z > 0 else np.inf
             row[6] = row[5] * np.sqrt(x * x + y * y + 1)
+            a = _position(lines, end[w], w)
+            row[7] = depth_m[lines[end[w], 1] + lines[end[w], 3] * a,
+                             lines[end[w], 0] + lines[end[w], 2] * a]
             count += 1
     return found[:count]
 

@@ -55,11 +55,19 @@ def seen(way, height_m, pitch_deg, roll_deg=0.0, yaw_deg=0.0, is_half=False, noi
 
 def detect(view, depth_m=None, height_m=0.0, down=None, **settings):
     depth_m = view.depth_m if depth_m is None else depth_m
-    config = Config(depth=DepthConfig(source='topic'), scale=ScaleConfig(camera_height=height_m),
-                    ground=GroundConfig(**settings))
-    return PlaneDetector(config).detect(np.full((*depth_m.shape, 3), 90, np.uint8), view.lens,
-                                        depth_m.astype(np.float32),
-                                        view.down if down is None else down)
+    return see(detector(height_m, **settings), view, depth_m, down)
+
+
+def detector(height_m=0.0, max_range=0.0, **settings):
+    return PlaneDetector(Config(depth=DepthConfig(source='topic', max_range=max_range),
+                                scale=ScaleConfig(camera_height=height_m),
+                                ground=GroundConfig(**settings)))
+
+
+def see(one, view, depth_m, down=None):
+    """Return what a detector finds in the next image."""
+    return one.detect(np.full((*depth_m.shape, 3), 90, np.uint8), view.lens,
+                      depth_m.astype(np.float32), view.down if down is None else down)
 
 
 # 1. Obstacles need no plane.
@@ -113,8 +121,74 @@ def test_the_range_of_a_sensor_is_no_edge(limit_m, is_range, height_m, pitch_deg
     v, u = np.indices(view.depth_m.shape)
     x, y = (u - view.lens.cx) / view.lens.fx, (v - view.lens.cy) / view.lens.fy
     far_m = view.depth_m * (np.sqrt(x * x + y * y + 1) if is_range else 1)
-    found = detect(view, np.where(far_m > limit_m, np.nan, view.depth_m))
-    assert len(found.drops_m) == 0 and not found.drop_note
+    depth_m = np.where(far_m > limit_m, np.nan, view.depth_m)
+    detectors = detector(), detector(max_range=limit_m)
+    for _ in range(3):
+        unknown, stated = (see(one, view, depth_m) for one in detectors)
+        assert len(unknown.drops_m) == 0 and 'depth.max_range' in unknown.drop_note
+        assert len(stated.drops_m) == 0 and not stated.drop_note and not stated.edge_note
+
+
+def with_noise(view, kind, rng):
+    """Return depth as a sensor of a kind measures it."""
+    z = view.depth_m
+    if kind == 'stereo':
+        return 1 / (1 / z + rng.normal(0, 0.003, z.shape))
+    if kind == 'time of flight':
+        return z + rng.normal(0, 0.002 + 0.001 * z * z)
+    step = 0.125 / (580 * 0.075)  # structured light
+    return 1 / (np.round((1 / z + rng.normal(0, 0.0008, z.shape)) / step) * step)
+
+
+BRINKS = [  # sensor, height, pitch, roll, yaw, edge, range, lower level
+    (sensor, height_m, *pose, edge_m, most_m, lower_m) for sensor, views in (
+        ('stereo', ((0.1, (0, 0, 0), 1.3, 3.0, 0.7), (0.1, (12, 0, 0), 0.8, 2.0, 0.7),
+                    (0.28, (0, 0, 0), 1.6, 7.0, 2.0), (0.28, (10, 180, 20), 1.2, 5.0, 0.3),
+                    (0.5, (15, 90, 0), 1.4, 4.0, 1.5), (0.8, (25, 0, -30), 1.5, 6.0, 0.15),
+                    (1.2, (40, 0, 0), 1.3, 8.0, 1.0), (1.5, (30, 0, 10), 2.0, 4.5, 0.5))),
+        ('time of flight', ((0.1, (5, 0, 0), 1.0, 2.5, 0.4), (0.15, (0, 0, 5), 1.7, 4.0, 1.0),
+                            (0.28, (20, 90, 0), 1.1, 3.0, 0.17), (0.35, (8, 0, 0), 2.1, 6.0, 3.0),
+                            (0.6, (18, 0, -15), 1.5, 5.0, 1.2), (0.9, (35, 180, 0), 1.2, 3.5, 0.6),
+                            (1.2, (22, 0, 0), 2.4, 8.0, 2.5), (1.5, (40, 0, 30), 1.6, 7.0, 0.2))),
+        ('structured light', ((0.12, (0, 0, 0), 1.2, 4.0, 0.8), (0.2, (15, 0, 0), 0.9, 2.2, 0.4),
+                              (0.28, (5, 0, -10), 1.6, 6.0, 2.0), (0.4, (25, 0, 0), 1.1, 3.0, 1.0),
+                              (0.7, (12, 90, 0), 2.2, 7.0, 2.0), (1.0, (30, 0, 25), 1.4, 5.0, 0.3),
+                              (1.3, (38, 0, 0), 1.5, 8.0, 0.15), (1.5, (20, 180, 0), 2.5, 4.0, 4.0)
+                              ))) for height_m, pose, edge_m, most_m, lower_m in views]
+
+
+@pytest.mark.parametrize('sensor, height_m, pitch_deg, roll_deg, yaw_deg, edge_m, most_m, lower_m',
+                         BRINKS)
+def test_an_edge_with_nothing_behind_is_a_drop_or_unknown(sensor, height_m, pitch_deg, roll_deg,
+                                                          yaw_deg, edge_m, most_m, lower_m):
+    """Known if the sensor has seen farther than the edge before, or is stated to."""
+    brink = Course(12.0)
+    brink.on(edge_m, 0.0, Kind.FLOOR)
+    brink.on(edge_m, -lower_m, Kind.OBSTACLE)
+    brink.on(12.0, -lower_m, Kind.LOWER)
+    rng, pose = np.random.default_rng(4), (height_m, pitch_deg, roll_deg, yaw_deg)
+    view, before = seen(brink, *pose), seen(course(edge_m + 0.8, half_width_m=12.0), *pose)
+
+    def ask(one, of):
+        depth_m = with_noise(of, sensor, rng)
+        return see(one, of, np.where(depth_m > most_m, np.nan, depth_m))
+
+    stream = detector()
+    single = ask(stream, view)
+    ask(stream, before)
+    answers = single, ask(stream, view), ask(detector(max_range=most_m), view)
+    floor_m = view.points_m[(view.kinds == Kind.FLOOR) & (view.points_m[..., 1] > edge_m - 0.06)]
+    near = np.linalg.norm(floor_m[:, :2], axis=1) < 2.8  # drops are told up to 3 m
+    left, right = np.percentile(floor_m[near, 0], [1, 99])
+    for found in answers:
+        drops_m = view.in_world(found.drops_m)
+        assert (abs(drops_m[:, 1] - edge_m) < 0.2).all()
+        if found is not single or not found.drop_note:
+            counts = np.histogram(drops_m[:, 0], bins=15, range=(left, right))[0]
+            assert (counts > 0).mean() > 0.85 and not found.drop_note
+    # A reset forgets what was seen, and so does another camera.
+    stream.reset()
+    assert ask(stream, view).drop_note == single.drop_note
 
 
 @pytest.mark.parametrize('roll_deg', [0, 90, 180])

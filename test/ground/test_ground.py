@@ -152,7 +152,7 @@ def test_a_rough_floor_without_a_plane_is_the_own_floor():
         PlaneSegmentation(NO_PLANES, nothing, 0.003), scene.depth_m * (1 + relief),
         scene.intrinsics, Gravity(scene.gravity_camera.copy(), tolerance_deg, 'measured'),
         MEASURED) for tolerance_deg in (1.0, 8.0))
-    assert not coarse.pixels.is_known and 'too coarsely' in coarse.note
+    assert not coarse.pixels.is_known and 'too coarsely' in coarse.pixels.drop_note
     assert ground.camera_height_m == pytest.approx(0.8, abs=0.01)
     assert ground.pixels.mask[terrain.kinds == Kind.FLOOR].mean() > 0.97
     assert len(ground.pixels.drops_m) > 100 and off_edges_m(ground.pixels, terrain).max() < 0.1
@@ -238,7 +238,7 @@ def test_a_drop_within_the_error_of_depth_is_none():
                                    np.where(own.labels == floor, 0, -1), noise)
         ground = find_ground(planes, scene.depth_m, scene.intrinsics,
                              Gravity(scene.gravity_camera, 1.0, 'measured'), MEASURED)
-        assert not ground.note
+        assert not ground.pixels.drop_note
         counts.append(len(ground.pixels.drops_m))
     assert counts[0] > 100 and counts[1] == 0
 
