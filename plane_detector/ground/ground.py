@@ -265,8 +265,8 @@ class SeenGround:
     @cached_property
     def obstacles(self) -> np.ndarray:
         """Pixels (H, W) that are not ground, without specks and flying pixels."""
-        return mark_obstacles(self.depth_m, self.labels, self.mask, self.focal_px,
-                              SIGMAS * self.sigma)
+        return mark_obstacles(self.depth_m, self.labels, self.mask, self.heights_m,
+                              self.limits.min_height, self.focal_px, SIGMAS * self.sigma)
 
     @cached_property
     def _marked(self) -> tuple[np.ndarray, np.ndarray]:
@@ -484,7 +484,7 @@ def find_ground(found: PlaneSegmentation, depth_m: np.ndarray, intrinsics: Camer
     if not doubt and error_m > LARGEST_ERROR_M:
         doubt = f'the floor {TOLD_AT_M:g} m away may be {error_m:.2f} m off'
     if not doubt and own == len(found.planes):
-        doubt = _unseen(depth_m, rays, surfaces, known_m)
+        doubt = _unseen(depth_m, labels, rays, surfaces, known_m, walkable)
     pixels = replace(pixels, is_ground=joined | lower, own=own, doubt=doubt)
     return Ground(classes, pixels, reach, height_m, tilt_deg, _mounting(
         found, labels, ways, gravity, config, own))
@@ -526,15 +526,18 @@ def _mounting(found: PlaneSegmentation, labels: np.ndarray, ways: Ways, gravity:
             gravity.tolerance_deg + np.degrees(SIGMAS * tilt_sigma))))
 
 
-def _unseen(depth_m: np.ndarray, rays: tuple[np.ndarray, np.ndarray], surfaces: Surfaces,
-            height_m: float) -> str:
+def _unseen(depth_m: np.ndarray, labels: np.ndarray, rays: tuple[np.ndarray, np.ndarray],
+            surfaces: Surfaces, height_m: float, walkable: np.ndarray) -> str:
     """Return why the level so far below the camera (0: not known) is not seen; empty if it is."""
     if not height_m:
         return ''
     depths, down = depth_m[::8, ::8], surfaces.down
     below_m = depths * np.add.outer(rays[1][::8] * down[1] + down[2], rays[0][::8] * down[0])
-    below_m, least = below_m[valid_depth(depths)], SEEN_SHARE * depths.size
-    if (abs(below_m - height_m) <= HEIGHT_TOLERANCE * height_m).sum() >= least:
+    # A wall and clutter have the height of the floor somewhere, but do not keep it; no plane is -1.
+    is_there = ((abs(below_m - height_m) <= HEIGHT_TOLERANCE * height_m)
+                & walkable[labels[::8, ::8]])
+    is_level = is_there[:-1, :-1] & is_there[1:, :-1] & is_there[:-1, 1:]
+    if np.count_nonzero(is_level) >= SEEN_SHARE * depths.size:
         return ''
     note = f'the floor, {height_m:.2f} m below the camera, is not seen'
     is_level = (surfaces.slopes_deg <= LEVEL_DEG)[:-1]

@@ -220,6 +220,32 @@ def test_drops_are_silent_where_nothing_or_nonsense_is_seen(name):
     assert found.ground_pixels.is_known == ('nothing is seen' not in note)
 
 
+@pytest.mark.parametrize('factor', [0.1, 5, 10, 20, 30])
+@pytest.mark.parametrize('height_m, pitch_deg, roll_deg, is_half', [
+    (0.7, 10, 0, False), (0.7, 20, 0, True), (0.3, 5, 0, False), (1.2, 30, 90, False),
+    (1.5, 15, 180, False)])
+def test_walls_at_the_height_of_the_floor_are_no_floor(height_m, pitch_deg, roll_deg, is_half,
+                                                       factor):
+    """With a wrong unit, some pixels of a wall or of clutter are that far below the camera."""
+    boxes = [(x, y, (0.3, 0.3, size)) for x, y, size in
+             ((-1.2, 2.5, 1.1), (-0.6, 3.2, 0.4), (0.4, 2.2, 0.2), (1.0, 3.0, 0.9))]
+    view = seen(course(6.0, boxes=boxes), height_m, pitch_deg, roll_deg, is_half=is_half,
+                noise=0.001)
+    assert not detect(view, height_m=height_m).drop_note
+    found = detect(view, factor * view.depth_m, height_m)
+    assert 'm below the camera, is not seen' in found.drop_note and len(found.drops_m) == 0
+
+
+@pytest.mark.parametrize('sides', [(1, 1), (3, 3), (2, 40), (8, 8), (15, 20)])
+def test_a_tiny_image_has_no_ground_and_says_why(sides):
+    height, width = sides
+    lens = CameraIntrinsics(10.0, 10.0, width / 2, height / 2, width, height)
+    view = SimpleNamespace(lens=lens, down=np.array([0.0, 0.6, 0.8]))
+    found = see(detector(0.5), view, np.full(sides, 1.0))
+    assert f'{width} x {height} pixels is too small' in found.drop_note
+    assert not found.ground.any() and not found.ground_pixels.is_known
+
+
 @pytest.mark.parametrize('height_m', [0.0, 0.6])
 def test_walls_alone_give_no_drop_and_why(height_m):
     view = seen(course(3.0), 0.6, -25)
@@ -403,3 +429,29 @@ def test_classes_without_a_unit_are_those_of_any_unit_but_for_steps():
             unit * view.depth_m, view.lens, Gravity(view.down.copy(), 1.0, 'measured'), Config(),
             is_metric=False)
         assert tuple(ground.classes) == expected
+
+
+# 11. The least height of an obstacle holds for planes too.
+@pytest.mark.parametrize('min_height', [0.05, 0.12, 0.2])
+@pytest.mark.parametrize('height_m, pitch_deg, roll_deg, is_half, noise', [
+    (0.6, 20, 0, False, 0.0005), (0.35, 12, 90, False, 0.001), (1.2, 35, 0, True, 0.0),
+    (1.5, 65, 180, False, 0.001)])
+def test_what_is_lower_than_min_height_is_no_obstacle_and_what_is_higher_is(
+        height_m, pitch_deg, roll_deg, is_half, noise, min_height):
+    """Plates and boxes as planes, a wall 2 cm thick, a riser with a level behind it."""
+    near_m = 0.3 if pitch_deg > 50 else 1.0
+    way = course(4.5, boxes=[(-0.5, near_m, (0.3, 0.3, 0.04)), (-0.1, near_m, (0.25, 0.25, 0.1)),
+                             (0.2, near_m, (0.25, 0.25, 0.17)), (0.38, near_m, (0.02, 0.4, 0.4)),
+                             (0.0, near_m + 0.6, (3.0, 0.5, 0.15))])
+    view = seen(way, height_m, pitch_deg, roll_deg, is_half=is_half, noise=noise)
+    found = detect(view, min_height=min_height)
+    is_thing = (view.kinds == Kind.OBSTACLE) & (view.points_m[..., 1] < near_m + 0.8)
+    error_m = 0.01 + 3 * noise * height_m * 2
+    low = is_thing & (view.above_m < min_height - error_m)
+    high = is_thing & (view.above_m > min_height + error_m)
+    assert low.sum() > 1000 and found.obstacles[low].mean() < 0.005
+    assert high.sum() > 300 and found.obstacles[high].mean() > 0.97
+    assert not (abs(found.heights_m[found.obstacles]) <= min_height).any()
+    # They are no ground for that: the step of the level is higher than max_step.
+    level = (view.kinds == Kind.OBSTACLE) & (abs(view.above_m - 0.15) < 0.005)
+    assert found.ground[level].mean() < 0.05
