@@ -118,6 +118,16 @@ def test_a_far_or_small_landing_is_ground(name, seed):
     assert name == 'ramp up' or (found.labels[terrain.kinds == Kind.LANDING] >= 0).mean() > 0.95
 
 
+@pytest.mark.parametrize('seed', [506, 529, 530, 538])
+def test_noise_does_not_hide_a_ramp_that_has_no_plane(seed):
+    """At .004 1/m floor and ramp may be taken for one curved surface, which has no plane."""
+    terrain = random_terrain('ramp down', np.random.default_rng([seed, *b'ramp down']))
+    found = detect(terrain, noisy(terrain, 0.004, np.random.default_rng([seed, 1])))
+    assert share(found, terrain, Kind.FLOOR) > 0.98
+    assert share(found, terrain, Kind.RAMP) > 0.97
+    assert share(found, terrain, Kind.LANDING) > 0.85
+
+
 def ground_by_pixels(terrain):
     """Return the ground of exact depth of which only the own floor is a plane."""
     scene = terrain.scene
