@@ -163,7 +163,9 @@ def _stretches(intrinsics: CameraIntrinsics) -> np.ndarray:
 def _reached(values: np.ndarray, before: float, most: int) -> float:
     """Return the value that so many exceed at most, 0 if it is not beyond the one before."""
     beyond = values[(values > before) & (values < np.inf)]
-    return float(order_statistics(beyond, len(beyond) - 1 - most)[1]) if len(beyond) > most else 0.0
+    if len(beyond) <= most:
+        return 0.0
+    return float(order_statistics(beyond, len(beyond) - 1 - most)[1])
 
 
 @dataclass(frozen=True)
@@ -335,9 +337,10 @@ class SeenGround:
                 continue
             ways, last, following = ends[at_limit, 4], last[at_limit], following[at_limit]
             along = _slope(last, ways)
-            if (_is_constant(last, following, ways, along)
-                    and _is_ragged(last - along * ways, following - along * ways,
-                                   ends_z[at_limit], ends[at_limit, 7])):
+            if _is_constant(last, following, ways, along):
+                if not _is_ragged(last - along * ways, following - along * ways,
+                                  ends_z[at_limit], ends[at_limit, 7]):
+                    break
                 return is_open if at_limit.sum() > ALL_SHARE * is_open.sum() else at_limit
         return np.zeros_like(is_open)
 
@@ -435,7 +438,8 @@ def find_ground(found: PlaneSegmentation, depth_m: np.ndarray, intrinsics: Camer
         if rough_m:
             known_m, down, own = rough_m, gravity.gravity_camera, len(found.planes)
     if down is None:
-        return Ground(unknown, _nothing(labels, 'the direction of gravity is known too coarsely'), reach)
+        return Ground(unknown, _nothing(
+            labels, 'the direction of gravity is known too coarsely'), reach)
     surfaces, down32 = Surfaces.of(found, down, known_m), down.astype(np.float32)
     tilt_deg = float(np.degrees(np.arcsin(np.clip(down[2], -1, 1))))
     pixels = SeenGround(depth_m, labels, ways, rays, intrinsics.fx, surfaces.table(),
@@ -533,7 +537,7 @@ def _unseen(depth_m: np.ndarray, labels: np.ndarray, rays: tuple[np.ndarray, np.
         return ''
     depths, down = depth_m[::8, ::8], surfaces.down
     below_m = depths * np.add.outer(rays[1][::8] * down[1] + down[2], rays[0][::8] * down[0])
-    # A wall and clutter have the height of the floor somewhere, but do not keep it; no plane is -1.
+    # A wall and clutter have the height of the floor somewhere, but do not keep it.
     is_there = ((abs(below_m - height_m) <= HEIGHT_TOLERANCE * height_m)
                 & walkable[labels[::8, ::8]])
     is_level = is_there[:-1, :-1] & is_there[1:, :-1] & is_there[:-1, 1:]
