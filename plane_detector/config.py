@@ -67,6 +67,10 @@ class DepthConfig(Settings, section='depth'):
         'ignored for networks of the zoo', '', 0.0, 1.0)
     max_depth: float = setting(
         80.0, 'depth beyond this is invalid', 'm', 0.01, 1e4)
+    max_range: float = setting(
+        0.0, 'range within which the sensor surely sees the floor: where the ground ends nearer '
+        'and nothing is behind, there is a drop; 0: unknown, then what it has seen so far counts',
+        'm', 0.0, 1e4)
     providers: tuple[str, ...] = fixed_setting(
         ('CPUExecutionProvider',), 'ONNX Runtime execution providers; the first one that '
         'runs is used')

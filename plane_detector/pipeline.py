@@ -30,7 +30,7 @@ from plane_detector.directions.gravity_choice import NO_GRAVITY
 from plane_detector.geometry.disparity import UNITLESS, to_disparity
 from plane_detector.geometry.gravity import measured_direction, sign_question
 from plane_detector.geometry.projection import as_depth, as_image
-from plane_detector.ground.ground import find_ground
+from plane_detector.ground.ground import NO_REACH, SensorReach, find_ground
 from plane_detector.planes.measurement import measure_planes, missing_planes_note
 from plane_detector.planes.normal_map import reoriented_by_normals
 from plane_detector.planes.patches import fill_patches
@@ -104,6 +104,7 @@ class _PlaneState:
     scale: ScaleState | None = None
     tracker: PlaneTracker = field(default_factory=PlaneTracker)
     shapes: ShapeDetector = field(default_factory=ShapeDetector)
+    reach: SensorReach = NO_REACH
 
 
 class PlaneDetector:
@@ -290,8 +291,9 @@ class PlaneDetector:
         with timer('ground'):
             # 5. Own floor, ramps, obstacles and drops, if angles are true and gravity is known.
             gravity = around.gravity if scale.has_true_angles else NO_GRAVITY
-            ground = find_ground(planes, depth_m, seen.intrinsics, gravity, config,
+            ground = find_ground(planes, depth_m, seen.intrinsics, gravity, config, state.reach,
                                  is_metric=scale.is_metric, doubt=seen.doubt)
+            state.reach = ground.reach
             planes = replace(planes, planes=replace(planes.planes, classes=ground.classes))
         with timer('tracking'):
             # 6. Labels that are stable from image to image.
@@ -315,7 +317,7 @@ class PlaneDetector:
                          gravity_camera=around.gravity.gravity_camera,
                          gravity_source=around.gravity.source, gravity_note=around.gravity.note,
                          gravity_probability=around.gravity.probability,
-                         ground_pixels=ground.pixels, drop_note=ground.note,
+                         ground_pixels=ground.pixels,
                          camera_height_m=ground.camera_height_m, tilt_deg=ground.tilt_deg,
                          mounting=ground.mounting, stage_seconds=timer.seconds)
 

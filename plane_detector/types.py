@@ -463,6 +463,10 @@ class GroundPixels:
     # and by how much, (N,); NaN where nothing is seen behind the edge.
     drops_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
     drop_depths_m: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    drop_note: str = ''  # why there are no drops; empty if they are searched for
+    # Where the ground ends, and that this may be an edge or the end of the range of the sensor;
+    # empty if there is no such place.
+    edge_note: str = ''
 
     @property
     def is_known(self) -> bool:
@@ -533,7 +537,6 @@ class Detection(PlaneSegmentation):
     gravity_probability: float = float('nan')
     # Or an object with these attributes, computed on first access, as `find_ground` returns.
     ground_pixels: GroundPixels = field(default_factory=GroundPixels)
-    drop_note: str = ''  # why there are no drops; empty if they are searched for
     camera_height_m: float = float('nan')  # above the own floor; NaN unknown
     tilt_deg: float = float('nan')  # of the optical axis below the horizon; NaN unknown
     mounting: Mounting | None = None  # if something of it is stated and a floor is seen
@@ -572,3 +575,13 @@ class Detection(PlaneSegmentation):
     def drop_depths_m(self) -> np.ndarray:
         """By how much it is down there, (N,) float64."""
         return self.ground_pixels.drop_depths_m
+
+    @property
+    def drop_note(self) -> str:
+        """Why there are no drops; empty if they are searched for."""
+        return self.ground_pixels.drop_note
+
+    @property
+    def edge_note(self) -> str:
+        """Where the ground ends with nothing behind, if that may not be an edge; else empty."""
+        return self.ground_pixels.edge_note

@@ -25,6 +25,9 @@ BORDER_PX = 6
 # A wall's foot differs from the ground by its plane; this much of it is the plane's own error.
 # Flat from 0 to .014 within .0005 of the obstacles.
 FOOT_M = 0.01
+# chosen: of the height of a way over a plane, its last dozen pixels count; fewer pixels one after
+# another that stand off it are its noise.
+MEAN_SHARE, MAX_MISSES = 0.1, 3
 # A plane's error as a share of a pixel's: what of the noise is smooth stays. With 1, a drop of
 # 10 cm is not found beyond 3 m at a noise of .004.
 PLANE_SHARE = 0.3
@@ -206,11 +209,14 @@ def mark_ground(depth_m, labels, lines, ways, ray_x, ray_y, planes, down, is_gro
     low_m, foot, error = np.float32(min_height), np.float32(FOOT_M), np.float32(error)
     nearest, endless, zero = np.float32(MIN_DEPTH_M), np.float32(np.inf), np.float32(0)
     # Of each way: the pixel in which it was last on a plane of the ground, until one is measured
-    # from it; then how far below the camera and ahead of it that is; whether an obstacle is
-    # between: the ground behind may be level, but is not seen to rise or fall.
-    last_seen = np.full(ways, -1, np.int32)
+    # from it, and by how much its last pixels are higher than the plane; then how far below the
+    # camera and ahead of it that is; sums of these and number of the pixels since; whether an
+    # obstacle is between: the ground behind may be level, but is not seen to rise or fall; how
+    # many pixels one after another may be one.
+    last_seen, higher = np.full(ways, -1, np.int32), np.zeros(ways, np.float32)
     below, ahead = np.full(ways, np.nan, np.float32), np.zeros(ways, np.float32)
-    is_hidden = np.zeros(ways, np.bool_)
+    sums, since = np.zeros((ways, 2), np.float32), np.zeros(ways, np.int32)
+    is_hidden, misses = np.zeros(ways, np.bool_), np.zeros(ways, np.int32)
     slope = np.float32(slope)
     interval = low_m / max(slope, np.float32(1e-3))
     count = np.uint32(len(is_ground) - 1)
@@ -246,6 +252,8 @@ def mark_ground(depth_m, labels, lines, ways, ray_x, ray_y, planes, down, is_gro
                         or off <= abs(s) * z * z * error)
                 if near and belongs:
                     ground[p], is_hidden[w] = True, False
+                    higher[w] += (h - higher[w]) * (np.float32(MEAN_SHARE) if reference[w] == k
+                                                    else np.float32(1))
                     reference[w], last_seen[w] = k, p
                 elif on_plane and not belongs:
                     ground[p] = near
@@ -254,9 +262,10 @@ def mark_ground(depth_m, labels, lines, ways, ray_x, ray_y, planes, down, is_gro
                     if last_seen[w] >= 0:
                         v, u = last_seen[w] // width, last_seen[w] % width
                         z_last = _depth_on(planes, reference[w], ray_x[u], ray_y[v])
-                        below[w] = z_last * (down[0] * ray_x[u] + down[1] * ray_y[v] + down[2])
+                        below[w] = (z_last * (down[0] * ray_x[u] + down[1] * ray_y[v] + down[2])
+                                    - higher[w])
                         ahead[w] = z_last * _far(down, ray_x[u], ray_y[v])
-                        last_seen[w] = -1
+                        last_seen[w], since[w], misses[w] = -1, 0, 0
                     x, y = x0 + x_step * np.float32(at), y0 + y_step * np.float32(at)
                     sight = down[0] * x + down[1] * y + down[2]
                     far = zero if is_hidden[w] else z * _far(down, x, y)
@@ -273,9 +282,17 @@ def mark_ground(depth_m, labels, lines, ways, ray_x, ray_y, planes, down, is_gro
                             below[w], ahead[w] = z * sight, far
                     ground[p] = (near or rise <= steepest or rise <= abs(sight) * z * z * error)
                     if not ground[p]:
-                        is_hidden[w] = True
-                    elif way >= interval:
-                        below[w], ahead[w] = z * sight, far
+                        misses[w] += 1
+                        is_hidden[w] |= misses[w] >= MAX_MISSES
+                    elif not is_hidden[w]:
+                        if since[w] == 0:
+                            sums[w, 0], sums[w, 1] = zero, zero
+                        sums[w, 0] += z * sight
+                        sums[w, 1] += far
+                        since[w], misses[w] = since[w] + 1, 0
+                        if way >= interval:
+                            below[w], ahead[w] = sums[w, 0] / since[w], sums[w, 1] / since[w]
+                            since[w] = 0
     return ground.reshape(height, width), heights.reshape(height, width)
 
 
@@ -285,13 +302,14 @@ def mark_ground(depth_m, labels, lines, ways, ray_x, ray_y, planes, down, is_gro
 def mark_drops(depth_m, labels, ground, lines, ways, ray_x, ray_y, planes, down, is_ground, own,
                min_drop, error):
     """
-    Return the ends of the ground with a lower surface behind, (N, 7), by every second way.
+    Return the ends of the ground with a lower surface behind, (N, 8), by every second way.
 
-    Columns are x y z, the drop, the way, and depth and range at which the ground would have been
-    seen next. The drop is NaN where nothing is seen behind the end. Metres.
+    Columns are x y z, the drop, the way, depth and range at which the ground would have been seen
+    next, and the depth measured at the end. The drop is NaN where nothing is seen behind the end,
+    the last three are 0 where something is. Metres.
     """
     height, width = depth_m.shape
-    found, count, planes_count = np.empty((2 * ways, 7)), 0, len(is_ground) - 1
+    found, count, planes_count = np.empty((2 * ways, 8)), 0, len(is_ground) - 1
     # Of each way: where the ground was seen last, on which plane and how deep; then how many
     # pixels are lower, and how many neither that nor ground.
     end, end_k = np.full(ways, -1, np.int32), np.full(ways, -1, np.int32)
@@ -352,7 +370,7 @@ def mark_drops(depth_m, labels, ground, lines, ways, ray_x, ray_y, planes, down,
                     if count < len(found):
                         row = found[count]
                         row[0], row[1], row[2] = x_end * end_z[w], y_end * end_z[w], end_z[w]
-                        row[3], row[4], row[5], row[6] = drop[w], w, 0.0, 0.0
+                        row[3], row[4], row[5], row[6], row[7] = drop[w], w, 0.0, 0.0, 0.0
                         pending[w], pending_k[w], pending_end[w] = count, e, end[w]
                         count += 1
                     end_k[w] = -1
@@ -378,7 +396,7 @@ def mark_drops(depth_m, labels, ground, lines, ways, ray_x, ray_y, planes, down,
                 farthest[0], farthest[1] = max(farthest[0], u), max(farthest[1], v)
     for w in range(0, ways, 2):
         e = end_k[w]
-        if e < 0 or lower[w] > 0 or count == len(found):
+        if e < 0 or count == len(found):
             continue
         i = len(lines) - 1
         while i > end[w] and not (lines[i, 6] <= w < lines[i, 7]
@@ -400,6 +418,9 @@ def mark_drops(depth_m, labels, ground, lines, ways, ray_x, ray_y, planes, down,
             z = _depth_on(planes, e, x, y)
             row[5] = z if z > 0 else np.inf
             row[6] = row[5] * np.sqrt(x * x + y * y + 1)
+            a = _position(lines, end[w], w)
+            row[7] = depth_m[lines[end[w], 1] + lines[end[w], 3] * a,
+                             lines[end[w], 0] + lines[end[w], 2] * a]
             count += 1
     return found[:count]
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from math import erf
 
 import numpy as np
 
@@ -80,10 +81,21 @@ WAY_STEP = 0.01
 MIN_EDGE_M = 0.12
 # chosen: the floor is seen if at least this share of the pixels shows it.
 SEEN_SHARE = 0.003
-# The range of a sensor is the depth, or the distance, that hardly any pixel exceeds. Ends of the
-# ground are due to it if at least this share of them is there: an edge is so only if it is
-# straight across the view.
-RANGE_QUANTILE, AT_RANGE_SHARE = 0.998, 0.5
+# A sensor reaches the depth, or the distance, that so small a share of an image exceeds. Ends of
+# the ground may be due to its range if at least this share of them is there: an edge is so only if
+# it is straight across the view.
+BEYOND_REACH_SHARE, AT_RANGE_SHARE = 0.002, 0.5
+# chosen: the few others of one end are torn off it by noise.
+ALL_SHARE = 0.9
+# chosen: if at least so many ends should be torn, less than this share of them is no chance.
+# Rendered at 1.2 to 1.6 m with time-of-flight noise: none at edges, 1.2 to 6 times those expected
+# at limits.
+MIN_TORN, TORN_RATIO = 10, 0.25
+# derived: some hundred values whose noise is a step of their quantisation take seven; if it is
+# less, most of them differ by the steps, which tear nothing.
+MIN_VALUES = 8
+# chosen: of every eighth pixel, two lines; a smaller image shows no way over the ground.
+LEAST_PX = 16
 
 
 @dataclass(frozen=True)
@@ -93,11 +105,67 @@ class Ground:
     classes: np.ndarray  # (K,) uint8, values of `PlaneClass`
     # the ground of the image and the drops, in the optical frame
     pixels: GroundPixels | SeenGround
+    reach: SensorReach  # with what this image shows of it
     # height above the own floor, and angle of the optical axis below the horizon; NaN unknown
     camera_height_m: float = np.nan
     tilt_deg: float = np.nan
     mounting: Mounting | None = None  # if something of it is stated and a floor is seen
-    note: str = ''  # why there are no drops; empty if they are searched for
+
+
+@dataclass(frozen=True)
+class SensorReach:
+    """
+    How far a sensor has seen in the images of a stream so far.
+
+    Examples
+    --------
+    >>> camera = CameraIntrinsics.from_field_of_view(160, 120, 60.0)
+    >>> depth_m = np.full((120, 160), 2.0, np.float32)
+    >>> depth_m[:40] = 4.0
+    >>> reach = SensorReach().extended(depth_m, camera)
+    >>> reach.depth_m, reach.extended(depth_m / 2, camera) is reach
+    (4.0, True)
+
+    """
+
+    # Most pixels beyond it were never more than a few; 0: nothing was seen.
+    depth_m: float = 0.0  # along the optical axis
+    distance_m: float = 0.0
+    # Of the images, and the depth beyond which theirs is invalid: with others nothing is known.
+    intrinsics: CameraIntrinsics | None = None
+    max_depth_m: float = np.inf
+
+    def extended(self, depth_m: np.ndarray, intrinsics: CameraIntrinsics,
+                 max_depth_m: float = np.inf) -> SensorReach:
+        """Return what is known after another image (H, W)."""
+        if (intrinsics, max_depth_m) != (self.intrinsics, self.max_depth_m):
+            return SensorReach(0.0, 0.0, intrinsics, max_depth_m).extended(
+                depth_m, intrinsics, max_depth_m)
+        z = depth_m[::8, ::8]
+        distance, most = z * _stretches(intrinsics), int(BEYOND_REACH_SHARE * z.size)
+        reached = [_reached(values, before, most) for values, before in (
+            (z, self.depth_m), (distance, self.distance_m))]
+        return self if max(reached) == 0 else replace(
+            self, depth_m=max(self.depth_m, reached[0]),
+            distance_m=max(self.distance_m, reached[1]))
+
+
+NO_REACH = SensorReach()
+
+
+@lru_cache(maxsize=4)
+def _stretches(intrinsics: CameraIntrinsics) -> np.ndarray:
+    """Return the distance of every eighth pixel along its ray at depth 1."""
+    x, y = pixel_rays(intrinsics)
+    return np.sqrt(np.add.outer(y[::8]**2, x[::8]**2) + 1)
+
+
+def _reached(values: np.ndarray, before: float, most: int) -> float:
+    """Return the value that so many exceed at most, 0 if it is not beyond the one before."""
+    beyond = values[(values > before) & (values < np.inf)]
+    if len(beyond) <= most:
+        return 0.0
+    return float(order_statistics(beyond, len(beyond) - 1 - most)[1])
 
 
 @dataclass(frozen=True)
@@ -164,7 +232,9 @@ class SeenGround:
     down: np.ndarray  # (3,) float32
     limits: GroundConfig
     sigma: float  # standard deviation of 1/z
-    tells_drops: bool
+    reach: SensorReach
+    max_range_m: float  # as stated; 0: not known
+    doubt: str  # why drops are not searched for
     lack, is_known = GroundLack.NOTHING, True
 
     @property
@@ -197,8 +267,8 @@ class SeenGround:
     @cached_property
     def obstacles(self) -> np.ndarray:
         """Pixels (H, W) that are not ground, without specks and flying pixels."""
-        return mark_obstacles(self.depth_m, self.labels, self.mask, self.focal_px,
-                              SIGMAS * self.sigma)
+        return mark_obstacles(self.depth_m, self.labels, self.mask, self.heights_m,
+                              self.limits.min_height, self.focal_px, SIGMAS * self.sigma)
 
     @cached_property
     def _marked(self) -> tuple[np.ndarray, np.ndarray]:
@@ -214,44 +284,75 @@ class SeenGround:
     @property
     def drops_m(self) -> np.ndarray:
         """Points (N, 3) along the edges."""
-        return self._drops[:, :3]
+        return self._drops[0][:, :3]
 
     @property
     def drop_depths_m(self) -> np.ndarray:
         """By how much it is down there, (N,)."""
-        return self._drops[:, 3]
+        return self._drops[0][:, 3]
+
+    @property
+    def edge_note(self) -> str:
+        """Why an edge cannot be distinguished from the end of the range of the sensor."""
+        return self._drops[1]
+
+    @property
+    def drop_note(self) -> str:
+        """Why there are no drops; empty if they are searched for."""
+        return self.doubt or ('' if len(self.drops_m) else self.edge_note)
 
     @cached_property
-    def _drops(self) -> np.ndarray:
-        if not self.tells_drops:
-            return np.zeros((0, 5))
+    def _drops(self) -> tuple[np.ndarray, str]:
+        if self.doubt:
+            return np.zeros((0, 5)), ''
         ends = mark_drops(self.depth_m, self.labels, self.mask, self.ways.lines, self.ways.count,
                           *self.rays, self.table, self.down, self.is_ground, self.own,
                           self.limits.min_drop, SIGMAS * self.sigma)
         ends = ends[ends[:, 4] >= 0]
-        return _rows(ends[~self._at_range_limit(ends)])
+        # Where the level behind a drop ends matters to no robot.
+        is_open = np.isnan(ends[:, 3])
+        ends = ends[~(is_open & np.isin(ends[:, 4], ends[~is_open, 4]))]
+        at_limit = self._at_range_limit(ends)
+        unknown = _rows(ends[at_limit])
+        if self.max_range_m or not len(unknown):
+            return _rows(ends[~at_limit]), ''
+        points_m = unknown[:, :3]
+        ahead_m = np.median(np.linalg.norm(np.cross(points_m, self.down), axis=1))
+        return _rows(ends[~at_limit]), (
+            f'the ground ends {ahead_m:.1f} m ahead with nothing behind, and the sensor has seen '
+            'nothing farther away: an edge, or the end of its range, which depth.max_range states')
 
     def _at_range_limit(self, ends: np.ndarray) -> np.ndarray:
         """Return which ends (N,) are where the sensor's range ends: ground would be beyond it."""
         is_open = np.isnan(ends[:, 3])
-        if not is_open.any():
-            return is_open
-        depths, (x, y) = self.depth_m[::4, ::4], self.rays
-        is_valid = valid_depth(depths)
-        z, stretch = depths[is_valid], np.sqrt(np.add.outer(y[::4]**2, x[::4]**2) + 1)[is_valid]
         ends_z, ends_range = ends[:, 2], np.linalg.norm(ends[:, :3], axis=1)
         margin = 1 + SIGMAS * self.sigma * ends_z
-        for values, last, following in ((z, ends_z, ends[:, 5]),
-                                        (z * stretch, ends_range, ends[:, 6])):
-            rank = int(RANGE_QUANTILE * (len(values) - 1))
-            at_limit = is_open & (following * margin >= order_statistics(values, rank)[1])
-            if (at_limit.sum() >= AT_RANGE_SHARE * is_open.sum()
-                    and _is_constant(last[at_limit], following[at_limit], ends[at_limit, 4])):
-                return at_limit
+        for reached_m, last, following in (
+                (self.reach.depth_m, ends_z, ends[:, 5]),
+                (self.reach.distance_m, ends_range, ends[:, 6])):
+            # A pixel more: noise and quantisation may cut one that is within the range.
+            at_limit = is_open & ((2 * following - last) * margin
+                                  >= max(reached_m, self.max_range_m))
+            if not at_limit.any() or at_limit.sum() < AT_RANGE_SHARE * is_open.sum():
+                continue
+            ways, last, following = ends[at_limit, 4], last[at_limit], following[at_limit]
+            along = _slope(last, ways)
+            if _is_constant(last, following, ways, along):
+                if not _is_ragged(last - along * ways, following - along * ways,
+                                  ends_z[at_limit], ends[at_limit, 7]):
+                    break
+                return is_open if at_limit.sum() > ALL_SHARE * is_open.sum() else at_limit
         return np.zeros_like(is_open)
 
 
-def _is_constant(last: np.ndarray, following: np.ndarray, ways: np.ndarray) -> bool:
+def _slope(values: np.ndarray, ways: np.ndarray) -> float:
+    """Return the change of values (N,) from way to way."""
+    x = ways - ways.mean()
+    return float(x @ values / max(x @ x, 1.0))
+
+
+def _is_constant(last: np.ndarray, following: np.ndarray, ways: np.ndarray,
+                 slope: float) -> bool:
     """
     Return whether ground ends at the same distance, that of a range, in all ways.
 
@@ -259,15 +360,36 @@ def _is_constant(last: np.ndarray, following: np.ndarray, ways: np.ndarray) -> b
     within that of the pixels ``last`` and ``following`` the end.
     """
     x = ways - ways.mean()
-    slope = x @ last / max(x @ x, 1.0)
     spread = np.std(last - last.mean() - slope * x) / np.sqrt(max(x @ x, 1.0))
     off = max(abs(slope) - SIGMAS * spread, 0.0) * np.ptp(x)
     return off <= np.median(following - last)
 
 
+def _is_ragged(last: np.ndarray, following: np.ndarray, depth_m: np.ndarray,
+               measured_m: np.ndarray) -> bool:
+    """
+    Return whether ground may end where its depth exceeds a limit.
+
+    A limit cuts what is measured, so that the noise of the pixels decides which of them are seen:
+    of the ways (N,) a share ends a pixel sooner or later than their limit. An edge ends all alike.
+    ``depth_m`` and ``measured_m`` are the depth of the ground at the ends and that measured.
+    """
+    if len(np.unique(measured_m.round(5))) < MIN_VALUES:
+        return True
+    # Differences of neighbours: what of the noise is smooth moves the end without tearing it.
+    sigma = np.median(abs(np.diff((measured_m / depth_m - 1) * last))) / (2**0.5 * 0.6745)
+    # If the limit is midway between two pixels, fewest ends are torn.
+    within = erf(np.median(following - last) / (8**0.5 * sigma))
+    share = 1 - (0.5 + 0.5 * within)**2
+    starts = np.sort(last)
+    alike = (np.arange(len(last)) + 1 - np.searchsorted(np.sort(following), starts, 'right')).max()
+    torn = share * len(last)
+    return torn < MIN_TORN or len(last) - alike >= TORN_RATIO * torn
+
+
 def find_ground(found: PlaneSegmentation, depth_m: np.ndarray, intrinsics: CameraIntrinsics,
-                gravity: Gravity, config: Config, *, is_metric: bool = True,
-                doubt: str = '') -> Ground:
+                gravity: Gravity, config: Config, reach: SensorReach = NO_REACH, *,
+                is_metric: bool = True, doubt: str = '') -> Ground:
     """
     Find the ground of an image.
 
@@ -280,7 +402,9 @@ def find_ground(found: PlaneSegmentation, depth_m: np.ndarray, intrinsics: Camer
     intrinsics : CameraIntrinsics
     gravity : Gravity
     config : Config
-        Its ``ground`` and ``scale.camera_height``.
+        Its ``ground``, ``scale.camera_height`` and ``depth.max_range``.
+    reach : SensorReach
+        Of the images of the stream before.
     is_metric : bool
         Whether lengths are in metres. If not, the camera is taken to be 1 m above the floor for
         the classes, and there are neither ground nor drops, nor steps.
@@ -295,7 +419,11 @@ def find_ground(found: PlaneSegmentation, depth_m: np.ndarray, intrinsics: Camer
     limits, labels = config.ground, np.ascontiguousarray(found.labels, np.int32)
     unknown = np.zeros(len(found.planes), np.uint8)
     if gravity.gravity_camera is None:
-        return Ground(unknown, _nothing(labels), note='the direction of gravity is not known')
+        return Ground(unknown, _nothing(labels, 'the direction of gravity is not known'), reach)
+    if min(labels.shape) < LEAST_PX:
+        return Ground(unknown, _nothing(labels, f'an image of {labels.shape[1]} x '
+                                        f'{labels.shape[0]} pixels is too small for ground',
+                                        GroundLack.DEPTH), reach)
     # 1. and 2. The direction down and the own floor.
     known_m = config.scale.camera_height if is_metric else 0.0
     depth_m, rays = np.ascontiguousarray(depth_m, np.float32), pixel_rays(intrinsics)
@@ -310,22 +438,25 @@ def find_ground(found: PlaneSegmentation, depth_m: np.ndarray, intrinsics: Camer
         if rough_m:
             known_m, down, own = rough_m, gravity.gravity_camera, len(found.planes)
     if down is None:
-        return Ground(unknown, _nothing(labels),
-                      note='the direction of gravity is known too coarsely')
+        return Ground(unknown, _nothing(
+            labels, 'the direction of gravity is known too coarsely'), reach)
     surfaces, down32 = Surfaces.of(found, down, known_m), down.astype(np.float32)
     tilt_deg = float(np.degrees(np.arcsin(np.clip(down[2], -1, 1))))
     pixels = SeenGround(depth_m, labels, ways, rays, intrinsics.fx, surfaces.table(),
                         np.zeros(len(found.planes) + 1, bool), -1, down32, limits,
-                        float(found.disparity_noise), tells_drops=False)
+                        float(found.disparity_noise), reach, config.depth.max_range,
+                        'no floor is seen')
     if valid_depth(depth_m[::8, ::8]).mean() < SEEN_SHARE:
-        return Ground(classify_planes(found.planes, down), _nothing(labels, GroundLack.DEPTH),
-                      tilt_deg=tilt_deg, note='nothing is seen: hardly any pixel has a depth up '
-                      f'to {config.depth.max_depth:g} m')
+        return Ground(classify_planes(found.planes, down), _nothing(
+            labels, 'nothing is seen: hardly any pixel has a depth up to '
+            f'{config.depth.max_depth:g} m', GroundLack.DEPTH), reach, tilt_deg=tilt_deg)
+    if is_metric:
+        reach = reach.extended(depth_m, intrinsics, config.depth.max_depth)
+        pixels = replace(pixels, reach=reach)
     if own is None:
-        note = _unseen(depth_m, rays, surfaces, known_m)
         return Ground(classify_planes(found.planes, down),
-                      pixels if is_metric else _nothing(labels, GroundLack.UNIT),
-                      tilt_deg=tilt_deg, note=note or 'no floor is seen')
+                      pixels if is_metric else _nothing(labels, pixels.doubt, GroundLack.UNIT),
+                      reach, tilt_deg=tilt_deg)
     height_m = float(surfaces.heights()[own])
     unit_m = 1.0 if is_metric else height_m
     # 3. What joins it.
@@ -350,22 +481,23 @@ def find_ground(found: PlaneSegmentation, depth_m: np.ndarray, intrinsics: Camer
                        STEP_RANGE_M if is_metric else 0.0, limits.max_slope + SLOPE_MARGIN_DEG,
                        own if is_metric else -1)
     if not is_metric:
-        return Ground(classes, _nothing(labels, GroundLack.UNIT), tilt_deg=tilt_deg,
-                      note='the unit of depth is not known')
+        return Ground(classes, _nothing(labels, 'the unit of depth is not known',
+                                        GroundLack.UNIT), reach, tilt_deg=tilt_deg)
     # 4. and 5. Pixels and drops.
     error_m = SIGMAS * float(found.disparity_noise) * TOLD_AT_M * height_m
     if not doubt and error_m > LARGEST_ERROR_M:
         doubt = f'the floor {TOLD_AT_M:g} m away may be {error_m:.2f} m off'
     if not doubt and own == len(found.planes):
-        doubt = _unseen(depth_m, rays, surfaces, known_m)
-    pixels = replace(pixels, is_ground=joined | lower, own=own, tells_drops=not doubt)
-    return Ground(classes, pixels, height_m, tilt_deg, _mounting(
-        found, labels, ways, gravity, config, own), doubt)
+        doubt = _unseen(depth_m, labels, rays, surfaces, known_m, walkable)
+    pixels = replace(pixels, is_ground=joined | lower, own=own, doubt=doubt)
+    return Ground(classes, pixels, reach, height_m, tilt_deg, _mounting(
+        found, labels, ways, gravity, config, own))
 
 
-def _nothing(labels: np.ndarray, lack: GroundLack = GroundLack.GRAVITY) -> GroundPixels:
-    """Return that no pixel of an image is ground or obstacle, and what it lacks for that."""
-    return GroundPixels(lack, np.zeros(labels.shape, bool), np.zeros(labels.shape, bool))
+def _nothing(labels: np.ndarray, note: str, lack: GroundLack = GroundLack.GRAVITY) -> GroundPixels:
+    """Return that no pixel of an image is ground or obstacle, why, and what it lacks for that."""
+    return GroundPixels(lack, np.zeros(labels.shape, bool), np.zeros(labels.shape, bool),
+                        drop_note=note)
 
 
 @lru_cache(maxsize=4)
@@ -398,15 +530,18 @@ def _mounting(found: PlaneSegmentation, labels: np.ndarray, ways: Ways, gravity:
             gravity.tolerance_deg + np.degrees(SIGMAS * tilt_sigma))))
 
 
-def _unseen(depth_m: np.ndarray, rays: tuple[np.ndarray, np.ndarray], surfaces: Surfaces,
-            height_m: float) -> str:
+def _unseen(depth_m: np.ndarray, labels: np.ndarray, rays: tuple[np.ndarray, np.ndarray],
+            surfaces: Surfaces, height_m: float, walkable: np.ndarray) -> str:
     """Return why the level so far below the camera (0: not known) is not seen; empty if it is."""
     if not height_m:
         return ''
     depths, down = depth_m[::8, ::8], surfaces.down
     below_m = depths * np.add.outer(rays[1][::8] * down[1] + down[2], rays[0][::8] * down[0])
-    below_m, least = below_m[valid_depth(depths)], SEEN_SHARE * depths.size
-    if (abs(below_m - height_m) <= HEIGHT_TOLERANCE * height_m).sum() >= least:
+    # A wall and clutter have the height of the floor somewhere, but do not keep it.
+    is_there = ((abs(below_m - height_m) <= HEIGHT_TOLERANCE * height_m)
+                & walkable[labels[::8, ::8]])
+    is_level = is_there[:-1, :-1] & is_there[1:, :-1] & is_there[:-1, 1:]
+    if np.count_nonzero(is_level) >= SEEN_SHARE * depths.size:
         return ''
     note = f'the floor, {height_m:.2f} m below the camera, is not seen'
     is_level = (surfaces.slopes_deg <= LEVEL_DEG)[:-1]

@@ -69,13 +69,14 @@ def _is_flying(depth_m, v, u, dv, du, width, error):
     return True
 
 
-@kernel(f'boolean[:, ::1]({_DEPTH}, {_LABELS}, boolean[:, ::1], float64, float64)',
-        subject='ground_pixels')
-def mark_obstacles(depth_m, labels, ground, focal_px, error):
+@kernel(f'boolean[:, ::1]({_DEPTH}, {_LABELS}, boolean[:, ::1], {_DEPTH}, float64, float64, '
+        'float64)', subject='ground_pixels')
+def mark_obstacles(depth_m, labels, ground, heights_m, min_height, focal_px, error):
     """Return the pixels (H, W) of obstacles; ``error`` is that of 1/z."""
     height, width = depth_m.shape
     steepest, error = np.float32(STEEPEST / focal_px), np.float32(np.sqrt(2) * error)
     nearest, endless = np.float32(MIN_DEPTH_M), np.float32(np.inf)
+    low_m = np.float32(min_height)
     # Pixels of a surface, of a plane that is an obstacle, and others with depth.
     of_pixels = np.empty((3, height, width), np.bool_)
     surface, found, is_loose = of_pixels[0], of_pixels[1], of_pixels[2]
@@ -83,7 +84,9 @@ def mark_obstacles(depth_m, labels, ground, focal_px, error):
         for u in range(width):
             is_valid = (depth_m[v, u] >= nearest) & (depth_m[v, u] < endless)
             surface[v, u] = ground[v, u] | (labels[v, u] >= 0)
-            found[v, u] = is_valid & surface[v, u] & (not ground[v, u])
+            # The foot of a wall and a low plate are no ground, and no obstacle either.
+            found[v, u] = (is_valid & surface[v, u] & (not ground[v, u])
+                           & (not abs(heights_m[v, u]) <= low_m))
             is_loose[v, u] = is_valid & (not surface[v, u])
     # Runs of pixels of a row that may be a speck: first and last column, the patch they belong to,
     # by its first run, and of each patch its pixels and whether a surface is beside it.

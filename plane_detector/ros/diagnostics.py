@@ -262,15 +262,23 @@ def _facts_of(detection: Detection, late_failure: str) -> dict[str, str]:
         facts['smallest_obstacle_m'] = ', '.join(
             f'{height_m:.3f} at {ahead_m:g} m'
             for ahead_m, height_m in zip(OBSTACLE_DISTANCES_M, smallest_m, strict=True))
-    facts['drops'] = (
-        f'not looked for: {detection.drop_note}' if detection.drop_note else
-        f'{len(detection.drops_m)} points' if are_ready('ground_pixels') else
-        f'not counted, their loops cannot be compiled ({late_failure}): restart the node; if that '
-        'fails too, install numba anew' if late_failure else
-        'not counted: their loops are being compiled')
+    facts['drops'] = _drops_of(detection, late_failure)
     facts['shapes'] = (f'not searched for: {detection.shape_note}' if detection.shape_note
                        else str(len(detection.shapes)))
     return facts
+
+
+def _drops_of(detection: Detection, late_failure: str) -> str:
+    """Return what is known of drops; they are searched for when first read."""
+    found = detection.ground_pixels
+    if found.is_known and not are_ready('ground_pixels'):
+        return ('not counted: their loops are being compiled' if not late_failure else
+                f'not counted, their loops cannot be compiled ({late_failure}): restart the node; '
+                'if that fails too, install numba anew')
+    if detection.drop_note and not found.edge_note:
+        return f'not looked for: {detection.drop_note}'
+    points = f'{len(detection.drops_m)} points'
+    return f'{points}; unknown: {found.edge_note}' if found.edge_note else points
 
 
 def missing_for_classes(detection: Detection, wanted: Collection[str]) -> str:
@@ -280,7 +288,7 @@ def missing_for_classes(detection: Detection, wanted: Collection[str]) -> str:
     ``wanted`` are the names of the outputs that have subscribers.
     """
     if detection.ground_pixels.is_known:
-        is_silent = detection.drop_note and DROPS in wanted
+        is_silent = DROPS in wanted and detection.drop_note
         return f'~/{DROPS} is silent: {detection.drop_note}' if is_silent else ''
     lost, is_relative = POINTS_WITHOUT_FLOOR in wanted, detection.scale_method == RELATIVE
     silent = f'~/{POINTS_WITHOUT_FLOOR} is silent'

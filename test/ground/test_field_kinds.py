@@ -55,11 +55,19 @@ def seen(way, height_m, pitch_deg, roll_deg=0.0, yaw_deg=0.0, is_half=False, noi
 
 def detect(view, depth_m=None, height_m=0.0, down=None, **settings):
     depth_m = view.depth_m if depth_m is None else depth_m
-    config = Config(depth=DepthConfig(source='topic'), scale=ScaleConfig(camera_height=height_m),
-                    ground=GroundConfig(**settings))
-    return PlaneDetector(config).detect(np.full((*depth_m.shape, 3), 90, np.uint8), view.lens,
-                                        depth_m.astype(np.float32),
-                                        view.down if down is None else down)
+    return see(detector(height_m, **settings), view, depth_m, down)
+
+
+def detector(height_m=0.0, max_range=0.0, **settings):
+    return PlaneDetector(Config(depth=DepthConfig(source='topic', max_range=max_range),
+                                scale=ScaleConfig(camera_height=height_m),
+                                ground=GroundConfig(**settings)))
+
+
+def see(one, view, depth_m, down=None):
+    """Return what a detector finds in the next image."""
+    return one.detect(np.full((*depth_m.shape, 3), 90, np.uint8), view.lens,
+                      depth_m.astype(np.float32), view.down if down is None else down)
 
 
 # 1. Obstacles need no plane.
@@ -113,8 +121,74 @@ def test_the_range_of_a_sensor_is_no_edge(limit_m, is_range, height_m, pitch_deg
     v, u = np.indices(view.depth_m.shape)
     x, y = (u - view.lens.cx) / view.lens.fx, (v - view.lens.cy) / view.lens.fy
     far_m = view.depth_m * (np.sqrt(x * x + y * y + 1) if is_range else 1)
-    found = detect(view, np.where(far_m > limit_m, np.nan, view.depth_m))
-    assert len(found.drops_m) == 0 and not found.drop_note
+    depth_m = np.where(far_m > limit_m, np.nan, view.depth_m)
+    detectors = detector(), detector(max_range=limit_m)
+    for _ in range(3):
+        unknown, stated = (see(one, view, depth_m) for one in detectors)
+        assert len(unknown.drops_m) == 0 and 'depth.max_range' in unknown.drop_note
+        assert len(stated.drops_m) == 0 and not stated.drop_note and not stated.edge_note
+
+
+def with_noise(view, kind, rng):
+    """Return depth as a sensor of a kind measures it."""
+    z = view.depth_m
+    if kind == 'stereo':
+        return 1 / (1 / z + rng.normal(0, 0.003, z.shape))
+    if kind == 'time of flight':
+        return z + rng.normal(0, 0.002 + 0.001 * z * z)
+    step = 0.125 / (580 * 0.075)  # structured light
+    return 1 / (np.round((1 / z + rng.normal(0, 0.0008, z.shape)) / step) * step)
+
+
+BRINKS = [  # sensor, height, pitch, roll, yaw, edge, range, lower level
+    (sensor, height_m, *pose, edge_m, most_m, lower_m) for sensor, views in (
+        ('stereo', ((0.1, (0, 0, 0), 1.3, 3.0, 0.7), (0.1, (12, 0, 0), 0.8, 2.0, 0.7),
+                    (0.28, (0, 0, 0), 1.6, 7.0, 2.0), (0.28, (10, 180, 20), 1.2, 5.0, 0.3),
+                    (0.5, (15, 90, 0), 1.4, 4.0, 1.5), (0.8, (25, 0, -30), 1.5, 6.0, 0.15),
+                    (1.2, (40, 0, 0), 1.3, 8.0, 1.0), (1.5, (30, 0, 10), 2.0, 4.5, 0.5))),
+        ('time of flight', ((0.1, (5, 0, 0), 1.0, 2.5, 0.4), (0.15, (0, 0, 5), 1.7, 4.0, 1.0),
+                            (0.28, (20, 90, 0), 1.1, 3.0, 0.17), (0.35, (8, 0, 0), 2.1, 6.0, 3.0),
+                            (0.6, (18, 0, -15), 1.5, 5.0, 1.2), (0.9, (35, 180, 0), 1.2, 3.5, 0.6),
+                            (1.2, (22, 0, 0), 2.4, 8.0, 2.5), (1.5, (40, 0, 30), 1.6, 7.0, 0.2))),
+        ('structured light', ((0.12, (0, 0, 0), 1.2, 4.0, 0.8), (0.2, (15, 0, 0), 0.9, 2.2, 0.4),
+                              (0.28, (5, 0, -10), 1.6, 6.0, 2.0), (0.4, (25, 0, 0), 1.1, 3.0, 1.0),
+                              (0.7, (12, 90, 0), 2.2, 7.0, 2.0), (1.0, (30, 0, 25), 1.4, 5.0, 0.3),
+                              (1.3, (38, 0, 0), 1.5, 8.0, 0.15), (1.5, (20, 180, 0), 2.5, 4.0, 4.0)
+                              ))) for height_m, pose, edge_m, most_m, lower_m in views]
+
+
+@pytest.mark.parametrize('sensor, height_m, pitch_deg, roll_deg, yaw_deg, edge_m, most_m, lower_m',
+                         BRINKS)
+def test_an_edge_with_nothing_behind_is_a_drop_or_unknown(sensor, height_m, pitch_deg, roll_deg,
+                                                          yaw_deg, edge_m, most_m, lower_m):
+    """Known if the sensor has seen farther than the edge before, or is stated to."""
+    brink = Course(12.0)
+    brink.on(edge_m, 0.0, Kind.FLOOR)
+    brink.on(edge_m, -lower_m, Kind.OBSTACLE)
+    brink.on(12.0, -lower_m, Kind.LOWER)
+    rng, pose = np.random.default_rng(4), (height_m, pitch_deg, roll_deg, yaw_deg)
+    view, before = seen(brink, *pose), seen(course(edge_m + 0.8, half_width_m=12.0), *pose)
+
+    def ask(one, of):
+        depth_m = with_noise(of, sensor, rng)
+        return see(one, of, np.where(depth_m > most_m, np.nan, depth_m))
+
+    stream = detector()
+    single = ask(stream, view)
+    ask(stream, before)
+    answers = single, ask(stream, view), ask(detector(max_range=most_m), view)
+    floor_m = view.points_m[(view.kinds == Kind.FLOOR) & (view.points_m[..., 1] > edge_m - 0.06)]
+    near = np.linalg.norm(floor_m[:, :2], axis=1) < 2.8  # drops are told up to 3 m
+    left, right = np.percentile(floor_m[near, 0], [1, 99])
+    for found in answers:
+        drops_m = view.in_world(found.drops_m)
+        assert (abs(drops_m[:, 1] - edge_m) < 0.2).all()
+        if found is not single or not found.drop_note:
+            counts = np.histogram(drops_m[:, 0], bins=15, range=(left, right))[0]
+            assert (counts > 0).mean() > 0.85 and not found.drop_note
+    # A reset forgets what was seen, and so does another camera.
+    stream.reset()
+    assert ask(stream, view).drop_note == single.drop_note
 
 
 @pytest.mark.parametrize('roll_deg', [0, 90, 180])
@@ -144,6 +218,32 @@ def test_drops_are_silent_where_nothing_or_nonsense_is_seen(name):
     found = detect(view, change(view.depth_m), height_m)
     assert note in found.drop_note and len(found.drops_m) == 0
     assert found.ground_pixels.is_known == ('nothing is seen' not in note)
+
+
+@pytest.mark.parametrize('factor', [0.1, 5, 10, 20, 30])
+@pytest.mark.parametrize('height_m, pitch_deg, roll_deg, is_half', [
+    (0.7, 10, 0, False), (0.7, 20, 0, True), (0.3, 5, 0, False), (1.2, 30, 90, False),
+    (1.5, 15, 180, False)])
+def test_walls_at_the_height_of_the_floor_are_no_floor(height_m, pitch_deg, roll_deg, is_half,
+                                                       factor):
+    """With a wrong unit, some pixels of a wall or of clutter are that far below the camera."""
+    boxes = [(x, y, (0.3, 0.3, size)) for x, y, size in
+             ((-1.2, 2.5, 1.1), (-0.6, 3.2, 0.4), (0.4, 2.2, 0.2), (1.0, 3.0, 0.9))]
+    view = seen(course(6.0, boxes=boxes), height_m, pitch_deg, roll_deg, is_half=is_half,
+                noise=0.001)
+    assert not detect(view, height_m=height_m).drop_note
+    found = detect(view, factor * view.depth_m, height_m)
+    assert 'm below the camera, is not seen' in found.drop_note and len(found.drops_m) == 0
+
+
+@pytest.mark.parametrize('sides', [(1, 1), (3, 3), (2, 40), (8, 8), (15, 20)])
+def test_a_tiny_image_has_no_ground_and_says_why(sides):
+    height, width = sides
+    lens = CameraIntrinsics(10.0, 10.0, width / 2, height / 2, width, height)
+    view = SimpleNamespace(lens=lens, down=np.array([0.0, 0.6, 0.8]))
+    found = see(detector(0.5), view, np.full(sides, 1.0))
+    assert f'{width} x {height} pixels is too small' in found.drop_note
+    assert not found.ground.any() and not found.ground_pixels.is_known
 
 
 @pytest.mark.parametrize('height_m', [0.0, 0.6])
@@ -329,3 +429,29 @@ def test_classes_without_a_unit_are_those_of_any_unit_but_for_steps():
             unit * view.depth_m, view.lens, Gravity(view.down.copy(), 1.0, 'measured'), Config(),
             is_metric=False)
         assert tuple(ground.classes) == expected
+
+
+# 11. The least height of an obstacle holds for planes too.
+@pytest.mark.parametrize('min_height', [0.05, 0.12, 0.2])
+@pytest.mark.parametrize('height_m, pitch_deg, roll_deg, is_half, noise', [
+    (0.6, 20, 0, False, 0.0005), (0.35, 12, 90, False, 0.001), (1.2, 35, 0, True, 0.0),
+    (1.5, 65, 180, False, 0.001)])
+def test_what_is_lower_than_min_height_is_no_obstacle_and_what_is_higher_is(
+        height_m, pitch_deg, roll_deg, is_half, noise, min_height):
+    """Plates and boxes as planes, a wall 2 cm thick, a riser with a level behind it."""
+    near_m = 0.3 if pitch_deg > 50 else 1.0
+    way = course(4.5, boxes=[(-0.5, near_m, (0.3, 0.3, 0.04)), (-0.1, near_m, (0.25, 0.25, 0.1)),
+                             (0.2, near_m, (0.25, 0.25, 0.17)), (0.38, near_m, (0.02, 0.4, 0.4)),
+                             (0.0, near_m + 0.6, (3.0, 0.5, 0.15))])
+    view = seen(way, height_m, pitch_deg, roll_deg, is_half=is_half, noise=noise)
+    found = detect(view, min_height=min_height)
+    is_thing = (view.kinds == Kind.OBSTACLE) & (view.points_m[..., 1] < near_m + 0.8)
+    error_m = 0.01 + 3 * noise * height_m * 2
+    low = is_thing & (view.above_m < min_height - error_m)
+    high = is_thing & (view.above_m > min_height + error_m)
+    assert low.sum() > 1000 and found.obstacles[low].mean() < 0.005
+    assert high.sum() > 300 and found.obstacles[high].mean() > 0.97
+    assert not (abs(found.heights_m[found.obstacles]) <= min_height).any()
+    # They are no ground for that: the step of the level is higher than max_step.
+    level = (view.kinds == Kind.OBSTACLE) & (abs(view.above_m - 0.15) < 0.005)
+    assert found.ground[level].mean() < 0.05

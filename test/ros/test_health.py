@@ -32,7 +32,7 @@ def detection(classes, scale='metric', planes=2, gravity_note='', shape=(480, 64
                            gravity_source='none', gravity_note=gravity_note,
                            gravity_probability=probability,
                            camera_height_m=1.25, tilt_deg=math.nan, drops_m=(),
-                           ground_pixels=GroundPixels(lack), drop_note=note,
+                           ground_pixels=GroundPixels(lack, drop_note=note), drop_note=note,
                            shapes=(), shape_note='', mounting=mounting,
                            disparity_noise=0.002, systematic_noise=0.001)
 

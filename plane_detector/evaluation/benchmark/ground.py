@@ -39,17 +39,17 @@ GRAVITY_ERROR_DEG = 0.5
 BOX_HEIGHTS_M = (0.03, 0.04, 0.05, 0.06, 0.07, 0.08, 0.1, 0.12, 0.15, 0.2)
 KERB_DISTANCES_M = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0)
 # What is judged, and which share of ground is the worst one.
-JUDGED = {Kind.FLOOR: min, Kind.RAMP: min, Kind.LANDING: min, Kind.UPPER: max, Kind.OBSTACLE: max}
-Judgements = Mapping[Kind | str, list[float]]
-"""
-Of all views: the shares of ground by what the pixels show, whether there is a false drop, and of
-the views with an edge that must be told the numbers of its points, all and found.
-"""
+JUDGED = {Kind.FLOOR: min, Kind.RAMP: min, Kind.LANDING: min, Kind.LOWER: min, Kind.UPPER: max,
+          Kind.OBSTACLE: max}
+# A share on the wrong side of this, of ground or of what is none, is counted.
+BAD_SHARE = 0.8
+Judgements = Mapping[str, list[float]]
+"""The numbers of :func:`measure` of all views."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument('--views', type=at_least_one, default=10, help='of each kind of terrain')
+    parser.add_argument('--views', type=at_least_one, default=24, help='of each kind of terrain')
     parser.add_argument('--only', choices=COURSES, help='one kind of terrain')
     add_shared(parser, '--first-seed')
 
@@ -63,8 +63,8 @@ def run(options: argparse.Namespace) -> None:
             judged: dict[str, Judgements] = {name: defaultdict(list) for name in names}
             for name, seed in tqdm([(name, seed) for name in names for seed in seeds],
                                    str(noise), leave=False):
-                view = terrain(name, np.random.default_rng([seed, *name.encode()]))
-                judge(view, detect(view, noise, seed), judged[name])
+                for key, number in measure(name, seed, noise).items():
+                    judged[name][key].append(number)
             emit(f'### Noise {noise}, {len(seeds)} views of each kind, seeds {seeds[0]} to '
                  f'{seeds[-1]}', _shares(judged))
         emit('### Smallest box that is found, and farthest drop of 10 cm', _limits(seeds))
@@ -81,22 +81,36 @@ def detect(view: Terrain, noise: float | str, seed: int, height_m: float = 0.0) 
                                         noisy(view, noise, rng), turn @ view.scene.gravity_camera)
 
 
-def judge(view: Terrain, found: Detection, judged: Judgements) -> None:
-    """Add what was found in a view to the judgements."""
+def measure(name: str, seed: int, noise: float | str) -> dict[str, float]:
+    """
+    Return what is found in one view of a kind of terrain.
+
+    The share of the pixels taken for ground by what they show (a name of ``Kind`` in small
+    letters), whether there is a ``false`` drop, and, if there is an edge that must be told, the
+    numbers of its points, all (``edge``) and ``found``.
+    """
+    view = terrain(name, np.random.default_rng([seed, *name.encode()]))
+    return judge(view, detect(view, noise, seed))
+
+
+def judge(view: Terrain, found: Detection) -> dict[str, float]:
+    """Return what was found in a view, see :func:`measure`."""
+    judged: dict[str, float] = {}
     for kind in JUDGED:
         pixels = view.kinds == kind
         if kind == Kind.OBSTACLE:
             pixels &= view.above_m > 0.05
         if pixels.sum() >= MIN_PIXELS:
-            judged[kind].append(float(found.ground[pixels].mean()))
+            judged[kind.name.lower()] = float(found.ground[pixels].mean())
     found_m = view.in_world(found.drops_m)
-    judged['false'].append(bool((_distances(found_m, view.edges_m) > _near(found_m)).any()))
+    judged['false'] = float((_distances(found_m, view.edges_m) > _near(found_m)).any())
     must = (view.is_visible & (np.linalg.norm(view.edges_m[:, :2], axis=1) <= WITHIN_M)
             & (view.drops_m >= MIN_DROP_M))
     if must.sum() >= 10:  # 20 cm
         edge_m = view.edges_m[must]
-        judged['edge'].append(len(edge_m))
-        judged['found'].append(int((_distances(edge_m, found_m) <= _near(edge_m)).sum()))
+        judged['edge'] = len(edge_m)
+        judged['found'] = int((_distances(edge_m, found_m) <= _near(edge_m)).sum())
+    return judged
 
 
 def _distances(points_m: np.ndarray, others_m: np.ndarray) -> np.ndarray:
@@ -112,20 +126,24 @@ def _near(points_m: np.ndarray) -> np.ndarray:
 
 def _shares(judged: dict[str, Judgements]) -> str:
     everything = {key: [value for one in judged.values() for value in one[key]]
-                  for key in (*JUDGED, 'false', 'edge', 'found')}
-    return table(('terrain', 'own floor: mean, worst', 'ramp', 'behind the ramp',
-                  'upper level', 'obstacle over 5 cm: mean, worst', 'drops found (views)',
-                  '... of their length', 'views with a false drop'),
+                  for key in (*(kind.name.lower() for kind in JUDGED), 'false', 'edge', 'found')}
+    return table(('terrain', f'own floor: mean, worst, views below {BAD_SHARE:g}', 'ramp',
+                  'behind the ramp', 'lower level',
+                  f'upper level: mean, worst, views above {1 - BAD_SHARE:.1g}',
+                  'obstacle over 5 cm', 'drops found (views)', '... of their length',
+                  'views with a false drop'),
                  [[name, *_cells(one)] for name, one in {**judged, 'all': everything}.items()])
 
 
 def _cells(judged: Judgements) -> list[str]:
     edge, found = np.array(judged['edge']), np.array(judged['found'])
-    return [*(f'{np.mean(judged[kind]):.3f}, {worst(judged[kind]):.3f}' if judged[kind] else '-'
-              for kind, worst in JUDGED.items()),
+    shares = [(np.array(judged[kind.name.lower()]), worst) for kind, worst in JUDGED.items()]
+    return [*(f'{of.mean():.3f}, {worst(of):.3f}, '
+              f'{(of < BAD_SHARE if worst is min else of > 1 - BAD_SHARE).sum()} of {len(of)}'
+              if of.size else '-' for of, worst in shares),
             f'{np.count_nonzero(2 * found > edge)} of {len(edge)}',
             f'{found.sum() / edge.sum():.3f}' if edge.size else '-',
-            f'{sum(judged["false"])} of {len(judged["false"])}']
+            f'{sum(judged["false"]):.0f} of {len(judged["false"])}']
 
 
 def _limits(seeds: Sequence[int]) -> str:

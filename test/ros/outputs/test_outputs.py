@@ -117,7 +117,8 @@ def test_ground_and_drops(to_target):
     assert has_frame_of(msg, to_target) and table.dtype.names == ('x', 'y', 'z', 'drop')
     np.testing.assert_allclose(xyz(table), moved(scene.detection().drops_m, to_target), atol=1e-6)
     np.testing.assert_array_equal(table['drop'], np.float32([0.25, np.nan]))
-    assert make('drops', found=scene.detection(drop_note='why')) is None
+    silent = replace(scene.detection().ground_pixels, drop_note='why')
+    assert make('drops', found=scene.detection(ground_pixels=silent)) is None
 
 
 def test_the_grid_is_level_below_the_camera_or_in_the_base_frame():
@@ -147,7 +148,8 @@ def test_the_grid_is_level_below_the_camera_or_in_the_base_frame():
     assert (of_base.info.origin.position.x, of_base.info.origin.orientation.w) == (-5.0, 1.0)
     shifted = np.reshape(of_base.data, cells.shape)[:, 6:]  # the base is .3 m behind the camera
     np.testing.assert_array_equal(shifted, cells[:, :-6])
-    assert make('grid', found=replace(found, drop_note='why')) is None
+    silent = replace(found.ground_pixels, drop_note='why')
+    assert make('grid', found=replace(found, ground_pixels=silent)) is None
     assert make('grid', found=replace(found, ground_pixels=GroundPixels(GroundLack.UNIT))) is None
 
 
