@@ -102,6 +102,22 @@ def test_the_more_a_piece_is_bent_the_less_sure_is_its_class():
     assert of_class(2.0) < 0.75
 
 
+@pytest.mark.parametrize('lines', [0.0, 0.2, 1.0])
+def test_lines_inside_a_bent_piece_show_that_it_mixes_surfaces(lines):
+    wall = plane(turned(-AXES[2], 10, AXES[1]))
+    rays = [[x, y, 1.0] for x in (-0.01, 0.01) for y in (-0.01, 0.01)]
+    samples, planes = samples_of((wall,), rays), Planes.of([wall])
+
+    def of_class(own, lengths):
+        evidence = LineEvidence(AXES, np.zeros((1, 3)), np.array([lengths]))
+        return most_likely(score_orientations(planes, directions(), evidence, own),
+                           own).class_probability[0]
+
+    flat = replace(samples, disparity=samples.own_cosine / wall.offset_m)
+    assert of_class(flat, lines) == pytest.approx(of_class(flat, 0.0))
+    assert of_class(samples, lines) > of_class(samples, lines + 0.5)
+
+
 def test_an_accurate_network_keeps_a_roof_and_an_open_door():
     roof, door = turned(-AXES[0], 35, AXES[1]), turned(-AXES[2], 30, AXES[0])
     exact = tuple(plane(turned(normal, 0.5, AXES[1]), 0.3)
