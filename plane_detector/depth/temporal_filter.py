@@ -87,7 +87,8 @@ def filter_disparity(previous: FilteredDisparity | None, disparity: np.ndarray, 
     brightness = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)
     alone = FilteredDisparity(disparity.astype(np.float32, copy=False), brightness)
     if (previous is None or previous.brightness.shape != brightness.shape
-            or (previous.image_count == 1 and _surely_moves(previous, alone)) or not _shows_motion(alone.grey)):
+            or (previous.image_count == 1 and _surely_moves(previous, alone))
+            or not _shows_motion(alone.grey)):
         return alone
     return _averaged(previous, alone, keep, same_scale) or alone
 
