@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -27,7 +27,11 @@ from plane_detector.directions.posterior import (
     usual_inverse_depth,
 )
 from plane_detector.directions.temporal_filter import ImagePoints, Step, carried, first_view
-from plane_detector.directions.vanishing import SceneDirections, find_directions
+from plane_detector.directions.vanishing import (
+    SYSTEMATIC_DEG,
+    SceneDirections,
+    find_directions,
+)
 from plane_detector.types import CameraIntrinsics, PlaneSegmentation
 
 # While a camera does not turn, as its planes show, the lines are held for so many times longer,
@@ -194,7 +198,7 @@ class DirectionFinder:
             self._lines = find_in_image(image, expected, self._lines,
                                         config.directions.mounting)
         return Surroundings(choose(self._lines.directions) if config.directions.gravity
-                            else known, self._lines)
+                            else known, _with_vertical(self._lines, known))
 
     def note_planes(self, found: PlaneSegmentation, is_trusted: bool) -> None:
         """
@@ -213,6 +217,17 @@ class DirectionFinder:
             self._found_s, self._normals = self._stamp_s, normals
         if not is_trusted or _has_turned(self._normals, normals):
             self._hold_times = 1
+
+
+def _with_vertical(lines: ImageDirections, known: Gravity) -> ImageDirections:
+    """Return lines about a known vertical, if they leave open which one theirs is."""
+    if lines.directions.gravity_camera is not None or not known.is_sure:
+        return lines
+    down = known.gravity_camera
+    error_rad = np.radians(max(known.tolerance_deg / LIKELY_SIGMAS, SYSTEMATIC_DEG))
+    return replace(lines, directions=replace(
+        lines.directions, gravity_camera=down, probability=1.0,
+        covariance=error_rad**2 * (np.eye(3) - np.outer(down, down))))
 
 
 def _has_turned(before: dict[int, list[float]], after: dict[int, list[float]]) -> bool:

@@ -42,6 +42,8 @@ STEP_PER_RAD = 0.08
 # room, whose planes have axes of their own, is turned by 2.5 degrees.
 SHIFT_SHARES = np.linspace(-0.6, 0.6, 61)
 SHIFT_SPREAD, LOG_SHIFT_ODDS = 0.2, 8.0
+# derived: what half a step between these shares turns a plane by that is as far as typical.
+SHIFT_STEP_RAD = 0.5 * (SHIFT_SHARES[1] - SHIFT_SHARES[0])
 
 
 def measure_reoriented(regions: PixelRegions, intrinsics: CameraIntrinsics, min_pixels: float,
@@ -96,21 +98,29 @@ def reorient(regions: PixelRegions, planes: Planes, lines: ImageDirections,
     beside = lines_in_regions(lines.segments, regions.labels, len(planes))
 
     def scored(axes: ImageDirections, turned: Planes) -> ScoredOrientations:
+        off_rad = shift_rad if turned is planes else np.hypot(shift_rad, SHIFT_STEP_RAD)
         return score_orientations(turned, axes.directions, beside.along(axes.all_axes), samples,
-                                  shift_rad)
+                                  off_rad)
 
-    best, turned = scored(lines, planes), planes
+    by_lines = scored(lines, planes)
     variances = normal_variances(planes, samples, OWN_SIGMA_RAD, shift_rad)
-    shifted = _at_likely_shift(planes, variances, lines.all_axes, np.median(samples.disparity))
-    if shifted is not None:
+    shifted = _at_likely_shift(planes, variances + SHIFT_STEP_RAD**2, lines.all_axes,
+                               np.median(samples.disparity))
+
+    def with_own_axes(best: ScoredOrientations, turned: Planes) -> ScoredOrientations:
+        own, log_prior = axes_of_planes(turned.normals, variances, lines.directions)
+        if own is None:
+            return best
+        other = scored(replace(lines, directions=own), turned)
+        votes = PLANE_VOTE * (other.log_evidence - best.log_evidence) + log_prior
+        return other if votes > 0 else best
+
+    best = with_own_axes(by_lines, planes)
+    # Planes that are at right angles as they are have no shift.
+    if best is by_lines and shifted is not None:
         other, log_odds = scored(lines, shifted[0]), shifted[1]
         if other.log_evidence - best.log_evidence + log_odds > 0:
-            best, turned = other, shifted[0]
-    own, log_prior = axes_of_planes(turned.normals, variances, lines.directions)
-    if own is not None:
-        other = scored(replace(lines, directions=own), turned)
-        if PLANE_VOTE * (other.log_evidence - best.log_evidence) + log_prior > 0:
-            best = other
+            best = with_own_axes(other, shifted[0])
     found = most_likely(best, samples)
     refitted = samples.offsets(found.normals)
     changed = found.is_changed & np.isfinite(refitted)

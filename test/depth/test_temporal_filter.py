@@ -150,3 +150,18 @@ def test_invalid_pixels_stay_invalid_and_new_ones_stand_alone():
     assert not np.isfinite(state.disparity[-40:]).any()
     np.testing.assert_array_equal(state.disparity[:40], disparities[-1][:40])
     assert np.isfinite(state.disparity[:-40]).all()
+
+
+@pytest.mark.parametrize('height', [24, 240])
+def test_bands_are_rows_of_the_blurred_image(height):
+    state = filter_disparity(None, TRUTH[:height], scenery()[:height], 0.8, same_scale=True)
+    rows = {row.tobytes() for row in np.round(state.grey, 3)}
+    assert len(state.bands)
+    assert all(row.tobytes() in rows for row in np.round(state.bands, 3))
+
+
+@pytest.mark.parametrize('top', range(0, 240, 20))
+def test_a_change_of_the_second_image_is_seen_in_any_rows(top):
+    images, disparities = still(2)
+    images[-1][top:top + 20, 100:120] = 255
+    assert damped(images, disparities).image_count == 1

@@ -310,3 +310,11 @@ def test_lines_are_held_ever_longer_while_planes_show_no_turn(monkeypatch, hold_
                                    {'walls': 1}])
 def test_lines_are_hardly_held_while_something_may_move(monkeypatch, moves):
     assert len(search_times(monkeypatch, **moves)) >= 16, 'held for no more than one image'
+
+
+@pytest.mark.parametrize('down', np.eye(3))
+def test_a_measured_vertical_is_an_axis_of_an_image_without_lines(down):
+    image = CameraImage(np.full((480, 640, 3), 90, np.uint8), CAMERA)
+    assert not len(find_in_image(image, Expected(down, np.radians(1.0))).axes)
+    around = DirectionFinder().find(image, down, Config(), for_planes=True)
+    assert around.lines.axes == pytest.approx(down[None])

@@ -40,7 +40,7 @@ def turned(normal, angle_deg, about):
 
 
 def no_lines(count):
-    return LineEvidence(AXES, np.zeros((count, 3)))
+    return LineEvidence(AXES, np.zeros((count, 3)), np.zeros(count))
 
 
 def samples_of(planes, rays):
@@ -49,7 +49,7 @@ def samples_of(planes, rays):
     cosine = np.concatenate([-rays @ p.normal for p in planes])
     return RegionSamples(np.tile(rays, (len(planes), 1)), bent(cosine / 2.0),
                          np.repeat(np.arange(len(planes)), len(rays)), cosine,
-                         np.full(len(planes), SHARE))
+                         np.full(len(planes), SHARE), 1.0)
 
 
 def bent(disparity):
@@ -63,7 +63,7 @@ def orient(planes, found, evidence):
     count = len(planes)
     spots = RegionSamples(np.stack([-p.normal for p in planes]).repeat(2, axis=0),
                           bent(np.full(2 * count, 0.5)), np.arange(count).repeat(2),
-                          np.ones(2 * count), np.full(count, SHARE))
+                          np.ones(2 * count), np.full(count, SHARE), 1.0)
     return most_likely(score_orientations(Planes.of(planes), found, evidence, spots), spots)
 
 
@@ -79,7 +79,7 @@ def test_a_floor_faces_the_camera_even_if_the_network_sees_it_lean_over():
     below = [[x, y, 1.0] for x in (-0.3, 0.0, 0.3) for y in (0.6, 0.7)]
     leaning = plane(turned(-AXES[2], 5, AXES[1]))
     assert leaning.normal @ AXES[0] > 0
-    lines = LineEvidence(AXES, np.array([[0.0, 0.5, 0.45]]))
+    lines = LineEvidence(AXES, np.array([[0.0, 0.5, 0.45]]), np.ones(1))
     pieces = replace(samples_of((leaning,), below), image_shares=np.array([0.01]))
     planes = Planes.of([leaning])
     found = most_likely(score_orientations(planes, directions(), lines, pieces), pieces)
@@ -102,6 +102,22 @@ def test_the_more_a_piece_is_bent_the_less_sure_is_its_class():
     assert of_class(2.0) < 0.75
 
 
+@pytest.mark.parametrize('lines', [0.0, 0.2, 1.0])
+def test_lines_inside_a_bent_piece_show_that_it_mixes_surfaces(lines):
+    wall = plane(turned(-AXES[2], 10, AXES[1]))
+    rays = [[x, y, 1.0] for x in (-0.01, 0.01) for y in (-0.01, 0.01)]
+    samples, planes = samples_of((wall,), rays), Planes.of([wall])
+
+    def of_class(own, lengths):
+        evidence = LineEvidence(AXES, np.zeros((1, 3)), np.array([lengths]))
+        return most_likely(score_orientations(planes, directions(), evidence, own),
+                           own).class_probability[0]
+
+    flat = replace(samples, disparity=samples.own_cosine / wall.offset_m)
+    assert of_class(flat, lines) == pytest.approx(of_class(flat, 0.0))
+    assert of_class(samples, lines) > of_class(samples, lines + 0.5)
+
+
 def test_an_accurate_network_keeps_a_roof_and_an_open_door():
     roof, door = turned(-AXES[0], 35, AXES[1]), turned(-AXES[2], 30, AXES[0])
     exact = tuple(plane(turned(normal, 0.5, AXES[1]), 0.3)
@@ -120,7 +136,7 @@ def test_lines_along_an_axis_are_in_no_plane_across_it(line, expected):
         between = turned(-AXES[2], 45, AXES[0])
     shares = np.zeros((1, 3))
     shares[0, line] = 0.8
-    found = orient((plane(between, 8.0),), directions(), LineEvidence(AXES, shares))
+    found = orient((plane(between, 8.0),), directions(), LineEvidence(AXES, shares, np.ones(1)))
     assert abs(found.normals[0] @ AXES[expected]) > 0.999
 
 
@@ -128,7 +144,7 @@ def test_lines_outvote_a_normal_that_is_plainly_wrong():
     wrong = turned(turned(-AXES[2], 68, -AXES[0]), 35, AXES[2])
     if wrong @ AXES[1] < 0:
         wrong = turned(turned(-AXES[2], 68, AXES[0]), 35, AXES[2])
-    evidence = LineEvidence(AXES, np.array([[0.45, 0.3, 0.0]]))
+    evidence = LineEvidence(AXES, np.array([[0.45, 0.3, 0.0]]), np.ones(1))
     found = orient((plane(wrong, 20.0),), directions(), evidence)
     assert abs(found.normals[0] @ AXES[2]) > 0.999
 
