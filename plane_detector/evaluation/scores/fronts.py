@@ -4,7 +4,8 @@
 
 from __future__ import annotations
 
-from plane_detector.evaluation.scores import measured
+from plane_detector.evaluation.scores import colour, measured
 from plane_detector.evaluation.scores.table import Measurement
 
-MEASUREMENTS: tuple[Measurement, ...] = (*measured.MEASUREMENTS,)
+MEASUREMENTS: tuple[Measurement, ...] = (
+    *measured.MEASUREMENTS, *colour.MEASUREMENTS)
