@@ -4,8 +4,9 @@
 
 from __future__ import annotations
 
-from plane_detector.evaluation.scores import colour, measured
+from plane_detector.evaluation.scores import colour, cost, measured, robots
 from plane_detector.evaluation.scores.table import Measurement
 
 MEASUREMENTS: tuple[Measurement, ...] = (
-    *measured.MEASUREMENTS, *colour.MEASUREMENTS)
+    *measured.MEASUREMENTS, *colour.MEASUREMENTS, *robots.MEASUREMENTS,
+    *cost.MEASUREMENTS)
