@@ -113,12 +113,7 @@ def measure(options: argparse.Namespace, seed: int, names: Sequence[str]) -> lis
             for k, one in enumerate(chosen) if not missing.keys() & set(one.needs)
             for draw in range(one.draws) for part in one.parts]
     compile_kernels(COMPILED)
-    done = list(in_parallel(run_job, jobs, options.processes, 'scores'))
-    if options.json:
-        options.json.with_suffix('.times').write_text('\n'.join(
-            f'{one.cpu_s:8.2f} {job.function.__name__} {job.draw.part} {job.draw.seed}'
-            for one, job in zip(done, jobs, strict=True)))
-    return rows_of(chosen, done, missing)
+    return rows_of(chosen, in_parallel(run_job, jobs, options.processes, 'scores'), missing)
 
 
 def report(rows: Sequence[Row], floors: dict[str, Floor]) -> list[str]:
@@ -202,7 +197,7 @@ def measured_there(options: argparse.Namespace, folder: Path, seed: int, group: 
 
 
 def compare(options: argparse.Namespace, seed: int, names: Sequence[str]) -> list[Row]:
-    """Measure this commit and another one in turns, group by group; return the rows of this one."""
+    """Measure another commit and this one in turns, by group; return the rows of this one."""
     rows = []
     for group, other in turns(options, seed, names):
         now = measure(options, seed, [group])

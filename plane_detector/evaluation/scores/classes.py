@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""True classes of pixels, from rendered scenes and from measured depth, and shares of right ones."""
+"""True classes of pixels, by rendered scenes or measured depth, and shares of right ones."""
 
 from __future__ import annotations
 

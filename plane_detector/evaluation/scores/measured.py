@@ -168,7 +168,8 @@ def mounted(draw: Draw) -> Values:
     rectangles, rotation, position = furnished_room(np.random.default_rng(draw.seed))
     for degrees in (0, 90, 180, 270):
         turn = camera_rotation(0, 0, 0).T @ camera_rotation(0, 0, degrees)
-        values |= _with_classes('upright camera' if not degrees else f'turned by {degrees}', render(
+        name = f'turned by {degrees}' if degrees else 'upright camera'
+        values |= _with_classes(name, render(
             rectangles, rotation @ turn, position, room(draw.seed).intrinsics,
             np.random.default_rng(draw.seed)), draw)
     return values | _with_classes('from above', room_from_above(
@@ -231,7 +232,7 @@ def near_fronts(draw: Draw) -> Values:
 
 
 def misleading(draw: Draw) -> Values:
-    """Return by how much pictures that lie make planes of good depth worse than the depth alone."""
+    """Return by how much false pictures make planes worse than good depth alone does."""
     scene, values = room(draw.seed), {'turned': [], 'worse': [], 'lost': []}
     noisy_m = noisy_depth(scene, 0.002, draw.seed)
     for kind in KINDS:
@@ -272,7 +273,8 @@ def small_steps(draw: Draw) -> Values:
         labels = segment_planes(frame.depth_m, frame.intrinsics, seeded(draw.seed)).labels
         told += [_main_label(labels, low) != _main_label(labels, high)
                  for low, high in found.get('steps', ())]
-        whole += [_share_of_main_label(labels, one) >= KEPT_SHARE for one in found.get('whole', ())]
+        whole += [_share_of_main_label(labels, one) >= KEPT_SHARE
+                  for one in found.get('whole', ())]
     return {'steps of 1 to 5 cm: told apart': told, 'surfaces beside them: whole': whole}
 
 
