@@ -31,7 +31,7 @@ SEEDS = '2026-11-27'
 
 @pytest.fixture
 def scores(monkeypatch, tmp_path, capsys):
-    """Return a function: run measurements with floors; return exit code, output, path of floors."""
+    """Return a function: run measurements; return exit code, output, path of the floors."""
     monkeypatch.setattr(program, 'compile_kernels', lambda subjects: None)
     monkeypatch.setattr(program, 'FLOORS', tmp_path / 'floors.csv')
 

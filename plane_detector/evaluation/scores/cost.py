@@ -9,8 +9,11 @@ slows both. What else a busy machine does, to its caches above all, is in the sp
 
 from __future__ import annotations
 
+import os
+import resource
 import subprocess
 import sys
+import tempfile
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator
@@ -164,18 +167,16 @@ def of_messages(draw: Draw) -> Values:
     return {'cost: all messages': ratios(once, draw)['messages']}
 
 
+# VmHWM: what getrusage says also counts the process that has started this one.
 _PEAK = """
-import resource, sys
-import numpy as np
-from plane_detector import CameraIntrinsics, PlaneDetector
 from plane_detector.process import use_one_thread
 from plane_detector.evaluation.scores.cost import peak_scene
 use_one_thread()
 detector, scene, depth_m = peak_scene()
-before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 for _ in range(3):
     detector.detect(scene.rgb, scene.intrinsics, depth_m, scene.gravity_camera)
-print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
+line, = [line for line in open('/proc/self/status') if line.startswith('VmHWM')]
+print(float(line.split()[1]) / 1024)
 """
 
 
@@ -201,11 +202,8 @@ def loops(draw: Draw) -> Values:
 
 def compile_time(draw: Draw) -> Values:
     """Return the seconds of all cores that it takes to compile them, over those of fixed work."""
-    import resource
-    import tempfile
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     with tempfile.TemporaryDirectory() as folder:
-        import os
         subprocess.run([sys.executable, '-c', (
             'import plane_detector.pipeline, plane_detector.mapping.plane_map\n'
             'from plane_detector.compilation import _KERNELS, compile_kernels\n'

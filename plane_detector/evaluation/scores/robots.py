@@ -66,9 +66,8 @@ def range_edges(draw: Draw) -> Values:
 
     def detected(view, most_m: float) -> Detection:
         depth_m = with_disparity_noise(view.scene.depth_m, 0.001, rng)
-        depth_m[depth_m > most_m] = np.nan
-        return detector.detect(view.scene.rgb, view.scene.intrinsics, depth_m,
-                               view.scene.gravity_camera)
+        return detector.detect(view.scene.rgb, view.scene.intrinsics, np.where(
+            depth_m > most_m, np.float32(np.nan), depth_m), view.scene.gravity_camera)
     for _ in range(4):
         detected(look(flat(rng, 2.0), camera, rng), far_m)
     view = look(stairs(rng, start_m, -1), camera, rng)
