@@ -35,8 +35,8 @@ from plane_detector.evaluation.scores.measured import seeded
 from plane_detector.evaluation.scores.table import LOWER, Draw, Measurement, Values
 
 TURNS = 15
-# chosen: three times what ratios of one version differed by on two cores that ran sixteen processes,
-# and less than half of what must be seen, twice the time.
+# chosen: four times what ratios of one version differed by on two cores that ran sixteen
+# processes, and less than half of what must be seen, twice the time.
 BUSY_SHARE = 0.4
 GROWTH_SHARE = 0.05
 """What a feature may add to read or to compile without a word of reason."""
