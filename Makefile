@@ -7,6 +7,7 @@
 # make lint                      ruff
 # make faults                    fault injection, results as a table; SOAK_MINUTES=20 adds a long run
 # make benchmark                 the tables of docs/results.md (ARGS='labelled --frames')
+# make scores                    one table of every front, against its floors (ARGS='--only colour')
 # make lock                      .ci/requirements.lock, the hashes of all packages (needs uv)
 # make defaults                  config/plane_detector.yaml and docs/parameters.md from config.py
 #
@@ -24,7 +25,7 @@ STAMP := $(VENV)/installed
 unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH AMENT_PREFIX_PATH RMW_IMPLEMENTATION
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
-.PHONY: demo test lint faults benchmark defaults lock clean
+.PHONY: demo test lint faults benchmark scores defaults lock clean
 .DEFAULT_GOAL := demo
 
 demo: $(STAMP)
@@ -50,6 +51,9 @@ faults: $(STAMP)
 
 benchmark: $(STAMP)
 	@$(RUN) -m plane_detector.evaluation.benchmark $(or $(ARGS),accuracy)
+
+scores: $(STAMP)
+	@$(RUN) -m plane_detector.evaluation.scores $(ARGS)
 
 defaults: $(STAMP)
 	@$(RUN) -m plane_detector.evaluation.defaults
