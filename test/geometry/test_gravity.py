@@ -114,3 +114,11 @@ def test_a_camera_that_looks_straight_down(distance_m, is_asked):
     said = sign_question(np.array([0.0, 0.0, -1.0]), np.array([WALL]), np.array([distance_m]),
                          np.array([9000]), 10000)
     assert bool(said) == is_asked
+
+
+def test_the_mounting_turns_the_imus_frame_into_the_cameras():
+    """Its axes are x forward, y left, z up; those of the camera x right, y down, z forward."""
+    for force, expected in (((0.0, 0.0, 9.8), (0, 1, 0)), ((-9.8, 0.0, 0.0), (0, 0, 1))):
+        imu = GravityFilter((0.5, -0.5, 0.5, 0.5))
+        imu.add(0.0, force)
+        np.testing.assert_allclose(imu.gravity_camera(0.0), expected, atol=1e-12)

@@ -11,11 +11,7 @@ from plane_detector import Config, PlaneDetector
 from plane_detector.config import DepthConfig
 from plane_detector.directions.gravity_choice import Gravity
 from plane_detector.evaluation.scenes.terrain import View, look, stairs
-from plane_detector.geometry.gravity import (
-    gravity_from_acceleration,
-    smooth_gravity,
-    unit_direction,
-)
+from plane_detector.geometry.gravity import unit_direction
 from plane_detector.ground.ground import find_ground
 from plane_detector.planes.classification import (
     LEVEL_SHARE,
@@ -131,27 +127,3 @@ def test_coarse_gravity_stays_coarse_without_right_angles():
     assert refine_gravity(Planes.of([FLOOR]), coarse, 20.0) is None
     assert refine_gravity(Planes.of([FLOOR, ROOF]), coarse, 20.0) is None
     assert refine_gravity(Planes.of([FLOOR, WALL]), coarse, 5.0) is None
-
-
-def test_mounting_turns_the_imus_frame_into_the_cameras():
-    # An IMU with z up: its axes x forward, y left, z up in an optical frame x right, y down.
-    mounting = (0.5, -0.5, 0.5, 0.5)
-    np.testing.assert_allclose(gravity_from_acceleration((0.0, 0.0, 9.8), mounting), DOWN,
-                               atol=1e-12)
-    forward = gravity_from_acceleration((-9.8, 0.0, 0.0), mounting)
-    np.testing.assert_allclose(forward, [0.0, 0.0, 1.0], atol=1e-12)
-
-
-@pytest.mark.parametrize('acceleration', [(0.0, -12.0, 0.0), (0.0, 0.0, 0.0),
-                                          (np.nan, 0.0, 9.8)])
-def test_a_moving_accelerometer_gives_no_direction(acceleration):
-    assert gravity_from_acceleration(acceleration, (0, 0, 0, 1)) is None
-
-
-def test_gravity_is_smoothed_and_stays_a_unit_vector():
-    aside = unit_direction((1.0, 1.0, 0.0))
-    assert smooth_gravity(None, aside, 0.1) is aside
-    mixed = smooth_gravity(DOWN, aside, 0.1)
-    assert np.linalg.norm(mixed) == pytest.approx(1.0)
-    assert aside @ DOWN < mixed @ DOWN < 1.0
-    np.testing.assert_allclose(smooth_gravity(DOWN, aside, 100.0), aside, atol=1e-9)

@@ -39,16 +39,16 @@ def terrains(draw: Draw) -> Values:
     for name in TERRAINS:
         view = terrain(name, np.random.default_rng([draw.seed, *name.encode()]))
         for noise in NOISES:
-            one: dict[Kind | str, list[float]] = defaultdict(list)
-            ground.judge(view, ground.detect(view, noise, draw.seed), one)
+            one = ground.judge(view, ground.detect(view, noise, draw.seed))
             title = f'ground, noise {noise}'
             for kind, (what, better) in SHARES.items():
-                values[f'{title}: {what}'] += one[kind]
-                values[f'{title}: {what}, bad views'] += [
-                    better * share < better * BAD_SHARE for share in one[kind]]
-            values[f'{title}: views with a false drop'] += one['false']
-            values[f'{title}: length of drops found'] += [
-                found / edge for found, edge in zip(one['found'], one['edge'], strict=True)]
+                if (share := one.get(kind.name.lower())) is not None:
+                    values[f'{title}: {what}'].append(share)
+                    values[f'{title}: {what}, bad views'].append(
+                        better * share < better * BAD_SHARE)
+            values[f'{title}: views with a false drop'].append(one['false'])
+            if 'edge' in one:
+                values[f'{title}: length of drops found'].append(one['found'] / one['edge'])
     return values
 
 
