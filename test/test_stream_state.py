@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from plane_detector import CameraIntrinsics, Config, PlaneDetector
-from plane_detector.config import DepthConfig, ScaleConfig, ShapesConfig
+from plane_detector.config import DepthConfig, DirectionsConfig, ScaleConfig, ShapesConfig
 from plane_detector.depth.observation import DepthFunction
 from plane_detector.directions import finder
 from plane_detector.evaluation.metrics import angle_deg
@@ -143,7 +143,8 @@ def test_lines_are_sought_often_while_their_planes_are_not_trusted(is_measured, 
     searches, find = [], finder.find_in_image
     monkeypatch.setattr(finder, 'find_in_image',
                         lambda *given: searches.append(1) or find(*given))
-    detector = PlaneDetector(MEASURED if is_measured else Config(), None if is_measured
+    by_network = Config(directions=DirectionsConfig(mounting='upright'))
+    detector = PlaneDetector(MEASURED if is_measured else by_network, None if is_measured
                              else lambda image: seen.depth_m)
     for k in range(30):
         found = detector.detect(rgb, CAMERA, seen.depth_m if is_measured else None,

@@ -34,7 +34,7 @@ RUNS = {
     'ground --only quay --views 1':
         ({'ground.NOISES': (0.0,), 'ground.BOX_HEIGHTS_M': (0.03, 0.2),
           'ground.KERB_DISTANCES_M': (2.0,)},
-         r'all \| 1.000, 1.000 \| - .* \| 1 of 1 \| 1.000 \| 0 of 1 \|[\s\S]*'
+         r'all \| 1.000, 1.000, 0 of 1 \| - .* \| 1 of 1 \| 1.000 \| 0 of 1 \|[\s\S]*'
          r'0.0 \| 20 cm \| 20 cm \| 20 cm \| 2 m'),
     'shapes --scenes 1 --first-seed 0': ({'shapes.SIGMAS': (0.0,)}, r'0 \| 1 \| \d \| 1.00'),
     'network net.onnx --output metric_depth --short-side 56 --images 1':
