@@ -15,7 +15,7 @@ from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch_ros.actions import Node
 
 from launch import LaunchContext, LaunchDescription
-from plane_detector.config import DepthConfig, NodeConfig
+from plane_detector.config import DepthConfig, DirectionsConfig, NodeConfig
 
 PACKAGE = 'plane_detector'
 RESPAWN_DELAY_S = 5.0
@@ -37,6 +37,7 @@ ARGUMENTS = {
     'max_side': ('', 'larger images are reduced to this many pixels'),
     'camera_height': ('', 'height of the camera above the floor in metres'),
     'gravity': ('', 'direction of gravity in the frame of the camera, level: "0 1 0"'),
+    'mounting': ('', 'upright: the camera is not on its side or upside down; any: not known'),
     'use_imu': ('', 'true: gravity from the IMU'),
     'base_frame': ('', 'frame of the robot on the floor, for gravity and camera height from TF'),
     'target_frame': ('', 'frame of the outputs'),
@@ -58,10 +59,11 @@ TOPICS = ('image', 'camera_info', 'depth', 'imu')
 PARAMETERS = {'depth_source': 'depth.source', 'depth_transport': 'depth.transport',
               'depth_colour': 'depth.colour', 'depth_model': 'depth.model',
               'processing_mode': 'mode', 'camera_height': 'scale.camera_height',
-              'gravity': 'scale.gravity', 'plane_map': 'map.enabled', 'map_file': 'map.file'}
+              'gravity': 'scale.gravity', 'mounting': 'directions.mounting',
+              'plane_map': 'map.enabled', 'map_file': 'map.file'}
 OVERRIDES = ('depth_source', 'depth_transport', 'depth_colour', 'depth_model', 'image_transport',
-             'max_side', 'camera_height', 'gravity', 'use_imu', 'base_frame', 'target_frame',
-             'plane_map', 'map_file', 'points_color', 'processing_mode', 'autostart',
+             'max_side', 'camera_height', 'gravity', 'mounting', 'use_imu', 'base_frame',
+             'target_frame', 'plane_map', 'map_file', 'points_color', 'processing_mode', 'autostart',
              'use_sim_time')
 # What their text is turned into, where the parameter is no text.
 READ = {**dict.fromkeys(SWITCHES, IS_ON.get), 'max_side': int, 'camera_height': float,
@@ -88,9 +90,10 @@ CAMERAS = {
 }
 CHOICES = {**dict.fromkeys(SWITCHES, [*IS_ON]), 'camera': ['', *CAMERAS], **{
     name: ['', *settings.__dataclass_fields__[
-        PARAMETERS.get(name, name).removeprefix('depth.')].metadata['choices']]
+        PARAMETERS.get(name, name).rpartition('.')[2]].metadata['choices']]
     for settings, name in ((DepthConfig, 'depth_source'), (DepthConfig, 'depth_transport'),
-                           (DepthConfig, 'depth_colour'), (NodeConfig, 'image_transport'),
+                           (DepthConfig, 'depth_colour'), (DirectionsConfig, 'mounting'),
+                           (NodeConfig, 'image_transport'),
                            (NodeConfig, 'points_color'), (NodeConfig, 'processing_mode'))}}
 # Fast DDS as it comes loses images between processes.
 PROFILES = 'FASTRTPS_DEFAULT_PROFILES_FILE'

@@ -120,8 +120,8 @@ def test_topics_of_depth(remap, settings, depth, camera_info):
     assert (names['depth'], names['camera_info']) == (depth, camera_info)
 
 
-CHOSEN = ('depth_source', 'depth_transport', 'depth_colour', 'image_transport', 'points_color',
-          'processing_mode')
+CHOSEN = ('depth_source', 'depth_transport', 'depth_colour', 'mounting', 'image_transport',
+          'points_color', 'processing_mode')
 YAML = str(ROOT / 'config' / 'plane_detector.yaml')
 PROFILE = 'FASTRTPS_DEFAULT_PROFILES_FILE'
 
