@@ -63,8 +63,8 @@ PARAMETERS = {'depth_source': 'depth.source', 'depth_transport': 'depth.transpor
               'plane_map': 'map.enabled', 'map_file': 'map.file'}
 OVERRIDES = ('depth_source', 'depth_transport', 'depth_colour', 'depth_model', 'image_transport',
              'max_side', 'camera_height', 'gravity', 'mounting', 'use_imu', 'base_frame',
-             'target_frame', 'plane_map', 'map_file', 'points_color', 'processing_mode', 'autostart',
-             'use_sim_time')
+             'target_frame', 'plane_map', 'map_file', 'points_color', 'processing_mode',
+             'autostart', 'use_sim_time')
 # What their text is turned into, where the parameter is no text.
 READ = {**dict.fromkeys(SWITCHES, IS_ON.get), 'max_side': int, 'camera_height': float,
         'gravity': lambda text: [float(number) for number in re.findall(r'[-+.\de]+', text)]}

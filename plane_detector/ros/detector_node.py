@@ -70,7 +70,7 @@ class PlaneDetectorNode(LifecycleNode):
     Subscribes to image or image/compressed, camera_info, depth, depth/compressedDepth or
     depth/points, imu, clicked_point, and /tf. See
     :mod:`~plane_detector.ros.inputs.subscriptions`. Publishes ~/points, ~/points_without_floor,
-    ~/ground, ~/drops, ~/planes, ~/planes_json, ~/detections, ~/boundaries, ~/plane_poses,
+    ~/ground, ~/drops, ~/grid, ~/planes, ~/planes_json, ~/detections, ~/boundaries, ~/plane_poses,
     ~/markers, ~/shapes, ~/labels, ~/depth, ~/overlay, ~/overlay/compressed, ~/camera_info,
     ~/clicked_plane and /diagnostics. See :mod:`~plane_detector.ros.outputs.topics`. Services:
     ~/detect, ~/get_planes, ~/reset_tracking and those of a lifecycle node. Parameters:
