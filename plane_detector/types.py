@@ -6,12 +6,14 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from enum import Enum, IntEnum
 from functools import cached_property
-from typing import Protocol, overload, runtime_checkable
+from typing import TYPE_CHECKING, Any, Protocol, overload, runtime_checkable
 
 import numpy as np
+
+from plane_detector.plane_fields import PlaneClass, PlaneColumns, columns_of, row_of
 
 # chosen: stamps of one stream that are further back are of another one, such as a bag that starts
 # again; images that overtook each other are a few periods apart.
@@ -209,28 +211,10 @@ class DepthModel(Protocol):
         """Return the depth of an image (H, W, 3) uint8, of the size of the image."""
 
 
-class PlaneClass(IntEnum):
-    """Values of the field ``class`` of ``~/planes``."""
-
-    UNKNOWN = 0
-    FLOOR = 1
-    CEILING = 2
-    WALL = 3
-    OTHER_HORIZONTAL = 4
-    OTHER = 5
-    RAMP = 6
-    STEP = 7
-
-    @property
-    def readable(self) -> str:
-        """The name in lower case, with spaces."""
-        return self.name.lower().replace('_', ' ')
-
-
-@dataclass(frozen=True)
+@row_of(PlaneColumns)
 class Plane:
     """
-    One plane, normal . p + offset = 0 in the optical frame.
+    One plane, normal . p + offset = 0 in the optical frame; see `PlaneColumns` for the attributes.
 
     Examples
     --------
@@ -240,37 +224,14 @@ class Plane:
 
     """
 
-    normal: np.ndarray  # (3,) float64, of length 1, pointing to the camera
-    offset_m: float  # distance from camera to plane, at least 0
-    centroid_m: np.ndarray  # (3,) float64, mean of the pixels' points, projected onto the plane
-    # Pixels that it was measured from, at least 1; more may have its label, see ``fill_patches``.
-    inlier_count: int
-    rms_m: float  # root mean square distance of those pixels' points from the plane
-    area_m2: float  # that those pixels cover on the plane
-    covariance: np.ndarray  # (4, 4) float64, of (normal, offset_m) from the fit
-    confidence: float  # probability, 0 to 1, that the plane exists in the scene
-    # Probability that the plane is horizontal, vertical or neither as the normal says, if lines of
-    # the image oriented it; NaN: its depth alone did, and the covariance says how well.
-    class_certainty: float = float('nan')
-    plane_class: PlaneClass = PlaneClass.UNKNOWN
-    label: int = 0  # above 0, the same from image to image if tracked; 0: not labelled
-    merged: int = 0  # label of a plane that was found to be a part of this one; 0: none
+    if TYPE_CHECKING:  # made from the columns
+        def __init__(self, *values: Any, **named: Any) -> None: ...
 
-
-class Motion(Protocol):
-    """A change of frame: p_target = rotation @ p_source + translation_m."""
-
-    @property
-    def rotation(self) -> np.ndarray:
-        """Rotation, (3, 3)."""
-
-    @property
-    def translation_m(self) -> np.ndarray:
-        """Translation, (3,)."""
+        def __getattr__(self, name: str) -> Any: ...
 
 
 @dataclass(frozen=True, eq=False)
-class Planes(Sequence[Plane]):
+class Planes(PlaneColumns, Sequence[Plane]):
     """
     K planes in one frame, as arrays; indexing and iteration give each as a :class:`Plane`.
 
@@ -287,32 +248,11 @@ class Planes(Sequence[Plane]):
 
     """
 
-    normals: np.ndarray  # (K, 3) float64, as in `Plane`, which also has the meaning of the others
-    offsets_m: np.ndarray  # (K,) float64
-    centroids_m: np.ndarray  # (K, 3) float64
-    counts: np.ndarray  # (K,) int64, of inliers
-    rms_m: np.ndarray  # (K,) float64
-    areas_m2: np.ndarray  # (K,) float64
-    covariances: np.ndarray  # (K, 4, 4) float64
-    confidences: np.ndarray  # (K,) float64
-    class_certainties: np.ndarray  # (K,) float64
-    classes: np.ndarray  # (K,) uint8, values of `PlaneClass`
-    labels: np.ndarray  # (K,) int64
-    merged: np.ndarray  # (K,) int64
-
     @classmethod
     def of(cls, planes: Sequence[Plane]) -> Planes:
         """Return the arrays of single planes."""
-        def column(name: str, *shape: int, dtype: type = float) -> np.ndarray:
-            return np.array([getattr(plane, name) for plane in planes], dtype).reshape(-1, *shape)
-        return cls(column('normal', 3), column('offset_m'), column('centroid_m', 3),
-                   column('inlier_count', dtype=np.int64), column('rms_m'), column('area_m2'),
-                   column('covariance', 4, 4), column('confidence'), column('class_certainty'),
-                   column('plane_class', dtype=np.uint8), column('label', dtype=np.int64),
-                   column('merged', dtype=np.int64))
-
-    def __len__(self) -> int:
-        return len(self.offsets_m)
+        return cls(*(np.array([getattr(plane, row.one) for plane in planes], row.dtype)
+                     .reshape(-1, *row.shape) for row in columns_of(cls).values()))
 
     @overload
     def __getitem__(self, index: int) -> Plane: ...
@@ -323,53 +263,7 @@ class Planes(Sequence[Plane]):
     def __getitem__(self, index):
         if isinstance(index, slice) or np.ndim(index):
             return self.picked(index)
-        index = operator.index(index)
-        return Plane(self.normals[index], float(self.offsets_m[index]), self.centroids_m[index],
-                     int(self.counts[index]), float(self.rms_m[index]),
-                     float(self.areas_m2[index]), self.covariances[index],
-                     float(self.confidences[index]), float(self.class_certainties[index]),
-                     PlaneClass(self.classes[index]), int(self.labels[index]),
-                     int(self.merged[index]))
-
-    def picked(self, index: np.ndarray | Sequence[int]) -> Planes:
-        """
-        Return some of the planes, by a slice, by a mask (K,) bool or by their indices.
-
-        Raises
-        ------
-        IndexError
-            As of an array: a mask of another length, an index that there is not, or several
-            dimensions.
-
-        """
-        if not isinstance(index, slice):
-            index = np.asarray(index) if len(index) else np.zeros(0, np.int64)
-            if index.ndim != 1:
-                raise IndexError('planes have one dimension: index them by a slice, a mask (K,) '
-                                 f'or indices (N,), not by an array of shape {index.shape}')
-        return Planes(*[getattr(self, name)[index] for name in self.__dataclass_fields__])
-
-    def followed_by(self, others: Planes) -> Planes:
-        """Return these planes and others, which are in the same frame."""
-        return Planes(*(np.concatenate([getattr(self, name), getattr(others, name)])
-                        for name in self.__dataclass_fields__))
-
-    def moved(self, motion: Motion, scale: float = 1.0) -> Planes:
-        """
-        Return the planes in another frame, of lengths that are ``scale`` times as large there.
-
-        Their normals still point to the camera, so that offsets may be negative there. With
-        n' = R n and d' = s d - t . R n, the covariance is J C J^T for J = [[R, 0], [-t^T R, s]].
-        """
-        rotation, translation_m = motion.rotation, motion.translation_m
-        normals, jacobian = self.normals @ rotation.T, np.zeros((4, 4))
-        jacobian[:3, :3], jacobian[3, 3] = rotation, scale
-        jacobian[3, :3] = -translation_m @ rotation
-        return replace(
-            self, normals=normals, offsets_m=scale * self.offsets_m - normals @ translation_m,
-            centroids_m=scale * (self.centroids_m @ rotation.T) + translation_m,
-            rms_m=scale * self.rms_m, areas_m2=scale**2 * self.areas_m2,
-            covariances=jacobian @ self.covariances @ jacobian.T)
+        return Plane(*self.row(operator.index(index)))
 
     @cached_property
     def distances_m(self) -> np.ndarray:

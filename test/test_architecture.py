@@ -17,7 +17,7 @@ SOURCES = sorted(PACKAGE.rglob('*.py'))
 # A layer imports those before it; the rooms of one layer do not import each other.
 LAYERS = (('stopping', 'plain_text', 'process', 'dependencies'), ('ending', 'compilation'),
           ('settings', 'stage_timer'),
-          ('config', 'types'), ('geometry',),
+          ('plane_fields',), ('config', 'types'), ('geometry',),
           ('depth', 'directions', 'segmentation', 'scale', 'tracking'), ('planes',),
           ('ground', 'shapes', 'mapping'),
           ('pipeline', 'drawing'), ('ros',), ('tools',), ('evaluation',))

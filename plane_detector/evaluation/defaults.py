@@ -1,7 +1,8 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-The parameters as a yaml file and as a table in the documentation, generated from config.py.
+The parameters as a yaml file and as a table in the documentation, generated from config.py, and
+the table of the fields of ``~/planes``, from plane_fields.py.
 
     python -m plane_detector.evaluation.defaults
 """
@@ -15,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from plane_detector.config import Config, NodeConfig
+from plane_detector.planes.plane_table import documented
 from plane_detector.settings import parameters_of
 
 _HEADER = """\
@@ -25,8 +27,7 @@ _HEADER = """\
 """
 # What users set first: the source of depth, the images, and what makes depth metric.
 FIRST = ('depth.source', 'depth.model', 'image_transport', 'scale.camera_height', 'scale.gravity')
-_BEGIN = '<!-- parameters: made by `make defaults` -->'
-_END = '<!-- end of parameters -->'
+_BEGIN, _END = '<!-- {}: made by `make defaults` -->', '<!-- end of {} -->'
 _ROOT = Path(__file__).resolve().parents[2]
 
 
@@ -63,9 +64,9 @@ def parameter_table() -> str:
     return '\n'.join(lines) + '\n'
 
 
-def with_table(page: str) -> str:
+def with_table(page: str, subject: str, table: str) -> str:
     """
-    Return docs/parameters.md with a new table of parameters.
+    Return a page with a new table of a subject.
 
     Raises
     ------
@@ -73,11 +74,12 @@ def with_table(page: str) -> str:
         The two comments that enclose the table are missing.
 
     """
-    head, begin, rest = page.partition(_BEGIN)
-    _, end, tail = rest.partition(_END)
+    first, last = _BEGIN.format(subject), _END.format(subject)
+    head, begin, rest = page.partition(first)
+    _, end, tail = rest.partition(last)
     if not (begin and end):
-        raise ValueError(f'the page lacks the lines {_BEGIN} and {_END}')
-    return f'{head}{_BEGIN}\n\n{parameter_table()}\n{_END}{tail}'
+        raise ValueError(f'the page lacks the lines {first} and {last}')
+    return f'{head}{first}\n\n{table}\n{last}{tail}'
 
 
 def _settings() -> dict[str, tuple[Any, Any]]:
@@ -114,10 +116,13 @@ def _yaml(value: Any) -> str:
 
 
 def main() -> None:
-    """Write the yaml file and the table to their files."""
-    page = _ROOT / 'docs' / 'parameters.md'
+    """Write the yaml file and the tables to their files."""
     (_ROOT / 'config' / 'plane_detector.yaml').write_text(yaml_text(), encoding='utf-8')
-    page.write_text(with_table(page.read_text(encoding='utf-8')), encoding='utf-8')
+    for name, subject, table in (('parameters.md', 'parameters', parameter_table()),
+                                 ('topics.md', 'fields of planes', documented())):
+        page = _ROOT / 'docs' / name
+        page.write_text(with_table(page.read_text(encoding='utf-8'), subject, table),
+                        encoding='utf-8')
 
 
 if __name__ == '__main__':

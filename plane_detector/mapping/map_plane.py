@@ -102,9 +102,8 @@ def as_planes(planes: Sequence[MapPlane]) -> Planes:
     return Planes(
         normals, offsets_m, centroids_m, sums[0],
         np.zeros(len(planes)), sums[0] * sizes_m**2, covariances,
-        sums[3] / np.maximum(sums[4], 1), np.full(len(planes), np.nan),
-        votes.argmax(axis=1).astype(np.uint8),
-        np.array([plane.label for plane in planes], np.int64), np.zeros(len(planes), np.int64))
+        sums[3] / np.maximum(sums[4], 1), classes=votes.argmax(axis=1).astype(np.uint8),
+        labels=np.array([plane.label for plane in planes], np.int64))
 
 
 def centroids_of(planes: Sequence[MapPlane], frames: PlaneFrames

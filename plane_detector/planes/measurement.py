@@ -129,8 +129,7 @@ def planes_from_sums(regions: PixelRegions, sums: np.ndarray, kept: np.ndarray,
     offsets_m, rms_m, areas_m2, sure = table[:, OFFSET:COVARIANCE].T.copy()
     return Planes(normals, offsets_m, centroids_m, np.rint(sums_kept[:, N]).astype(np.int64),
                   rms_m, areas_m2, table[:, COVARIANCE:].reshape(-1, 4, 4).copy(),
-                  sure * certainty, of_class, np.zeros(len(kept), np.uint8),
-                  np.arange(1, len(kept) + 1), np.zeros(len(kept), np.int64))
+                  sure * certainty, of_class, labels=np.arange(1, len(kept) + 1))
 
 
 def _smooth_noise(regions: PixelRegions) -> tuple[float, float]:

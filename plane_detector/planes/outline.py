@@ -18,7 +18,8 @@ import cv2
 import numpy as np
 
 from plane_detector.compilation import kernel
-from plane_detector.geometry.rigid_transform import RigidTransform
+from plane_detector.geometry.rigid_transform import RigidTransform, quaternions
+from plane_detector.plane_fields import Columns, Moves, Published, column
 from plane_detector.planes.region_samples import MIN_COSINE
 from plane_detector.types import CameraIntrinsics, Detection, Planes, Shape
 
@@ -47,25 +48,24 @@ class Rectangle:
 
 
 @dataclass(frozen=True, eq=False)
-class Rectangles(Sequence[Rectangle]):
+class Rectangles(Columns, Sequence[Rectangle]):
     """K rectangles as arrays; indexing and iteration give each."""
 
-    centres_m: np.ndarray  # (K, 3) float64
-    rotations: np.ndarray  # (K, 3, 3) float64
-    widths_m: np.ndarray  # (K,) float64
-    heights_m: np.ndarray  # (K,) float64
-
-    def __len__(self) -> int:
-        return len(self.widths_m)
+    # (K, 3), (K, 3, 3), (K,) and (K,), as of a rectangle.
+    centres_m: np.ndarray = column(
+        'centre_m', Published('rect_x rect_y rect_z'), unit='m', shape=(3,), moves=Moves.POINT,
+        doc='centre of the smallest rectangle around all pixels of the plane')
+    rotations: np.ndarray = column(
+        'rotation', Published('rect_qx rect_qy rect_qz rect_qw', of=quaternions), shape=(3, 3),
+        moves=Moves.ROTATION, doc='its orientation, a quaternion: x along the width, y along the '
+                                  'height, z along the normal')
+    widths_m: np.ndarray = column('width_m', Published('rect_width', 'width'), unit='m',
+                                  doc='its longer side')
+    heights_m: np.ndarray = column('height_m', Published('rect_height', 'height'), unit='m',
+                                   doc='its shorter side')
 
     def __getitem__(self, index: int) -> Rectangle:
-        return Rectangle(self.centres_m[index], self.rotations[index],
-                         float(self.widths_m[index]), float(self.heights_m[index]))
-
-    def moved(self, transform: RigidTransform) -> Rectangles:
-        """Return the rectangles in another frame."""
-        return replace(self, centres_m=transform.points(self.centres_m),
-                       rotations=transform.rotation @ self.rotations)
+        return Rectangle(*self.row(index))
 
 
 def all_polygons(labels: np.ndarray, ends: np.ndarray, intrinsics: CameraIntrinsics,

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from plane_detector import drawing
+from plane_detector.types import PlaneClass
 
 _VERTEX = np.dtype([('x', '<f4'), ('y', '<f4'), ('z', '<f4'), ('red', 'u1'), ('green', 'u1'),
                     ('blue', 'u1'), ('label', '<i4')])
@@ -25,9 +26,16 @@ def depth_panel(title: str, depth_m: np.ndarray, unit: str) -> tuple[str, np.nda
             drawing.colour_depth(depth_m))
 
 
+def csv_head(dtype: np.dtype) -> list[str]:
+    """Return the names of what :func:`csv_row` returns."""
+    return [*dtype.names, *(['class_name'] if 'class' in dtype.names else [])]
+
+
 def csv_row(fields: np.void) -> list[object]:
-    """Return the fields of a plane or a shape, with six digits."""
-    return [f'{value:.6g}' if isinstance(value, np.floating) else value for value in fields]
+    """Return the fields of a plane or a shape, with six digits; of a plane its class in words."""
+    values = [f'{value:.6g}' if isinstance(value, np.floating) else value for value in fields]
+    named = [PlaneClass(fields['class']).readable] if 'class' in fields.dtype.names else []
+    return [*values, *named]
 
 
 def write_ply(path: Path, points_m: np.ndarray, rgb: np.ndarray, labels: np.ndarray,

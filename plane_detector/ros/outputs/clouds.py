@@ -18,8 +18,9 @@ from plane_detector.compilation import kernel
 from plane_detector.drawing import tint
 from plane_detector.geometry.disparity import MIN_DEPTH_M
 from plane_detector.geometry.projection import pixel_rays
-from plane_detector.geometry.rigid_transform import RigidTransform, quaternions
-from plane_detector.planes.outline import Polygon, Rectangles
+from plane_detector.geometry.rigid_transform import RigidTransform
+from plane_detector.planes.outline import Polygon
+from plane_detector.planes.plane_table import PLANE_DTYPE
 from plane_detector.ros.outputs.frame import DetectedFrame
 from plane_detector.ros.outputs.messages import (
     DROP_DTYPE,
@@ -29,16 +30,7 @@ from plane_detector.ros.outputs.messages import (
     cloud_msg,
     shape_labels,
 )
-from plane_detector.types import Planes
 
-PLANE_DTYPE = np.dtype([
-    ('x', '<f4'), ('y', '<f4'), ('z', '<f4'),
-    ('normal_x', '<f4'), ('normal_y', '<f4'), ('normal_z', '<f4'), ('d', '<f4'),
-    ('label', '<u4'), ('num_inliers', '<u4'), ('rms', '<f4'), ('area', '<f4'),
-    ('class', 'u1'), ('confidence', '<f4'),
-    ('rect_x', '<f4'), ('rect_y', '<f4'), ('rect_z', '<f4'),
-    ('rect_qx', '<f4'), ('rect_qy', '<f4'), ('rect_qz', '<f4'), ('rect_qw', '<f4'),
-    ('rect_width', '<f4'), ('rect_height', '<f4'), ('merged', '<u4')], align=True)
 CORNER_DTYPE = np.dtype([('x', '<f4'), ('y', '<f4'), ('z', '<f4'), ('label', '<u4'),
                          ('hole', 'u1'), ('polygon', '<u4')], align=True)
 SHAPE_DTYPE = np.dtype([
@@ -179,22 +171,9 @@ def _pack_kept(geometry, is_kept, heights_m, sigmas_m, table):
 def planes_to_msg(frame: DetectedFrame) -> PointCloud2:
     """Return the coefficients: one point per plane, at its centroid; no plane: an empty cloud."""
     table = np.zeros(len(frame.planes), PLANE_DTYPE)
-    fill_plane_table(table, frame.planes, frame.rectangles)
+    frame.planes.write_to(table)
+    frame.rectangles.write_to(table)
     return cloud_msg(frame.target_header, PLANE_DTYPE, table, 1, len(table))
-
-
-def fill_plane_table(table: np.ndarray, planes: Planes, rectangles: Rectangles) -> None:
-    """Write planes and their enclosing rectangles to rows with the fields of ~/planes."""
-    _set(table, ('x', 'y', 'z'), planes.centroids_m)
-    _set(table, ('normal_x', 'normal_y', 'normal_z'), planes.normals)
-    for name, values in (('d', planes.offsets_m), ('label', planes.labels),
-                         ('num_inliers', planes.counts), ('rms', planes.rms_m),
-                         ('area', planes.areas_m2), ('class', planes.classes),
-                         ('confidence', planes.confidences), ('merged', planes.merged)):
-        table[name] = values
-    _set(table, ('rect_x', 'rect_y', 'rect_z'), rectangles.centres_m)
-    _set(table, ('rect_qx', 'rect_qy', 'rect_qz', 'rect_qw'), quaternions(rectangles.rotations))
-    table['rect_width'], table['rect_height'] = rectangles.widths_m, rectangles.heights_m
 
 
 def boundaries_to_msg(frame: DetectedFrame) -> PointCloud2:
@@ -238,8 +217,3 @@ def shapes_to_msg(frame: DetectedFrame) -> PointCloud2 | None:
         row['num_inliers'], row['rms'] = shape.inlier_count, shape.rms_m
         row['confidence'] = shape.confidence
     return cloud_msg(frame.target_header, SHAPE_DTYPE, table, 1, len(table))
-
-
-def _set(table: np.ndarray, names: Sequence[str], rows: Sequence[Sequence[float]]) -> None:
-    for name, column in zip(names, np.asarray(rows, float).T, strict=True):
-        table[name] = column

@@ -16,18 +16,14 @@ from plane_detector.drawing import plane_colours
 from plane_detector.mapping.cells import runs
 from plane_detector.mapping.map_plane import MapPlane, polygons_of, rectangles_of
 from plane_detector.planes.outline import Polygon
-from plane_detector.ros.outputs.clouds import (
-    PLANE_DTYPE,
-    corners_to_msg,
-    fill_plane_table,
-)
+from plane_detector.planes.plane_table import FIRST, FORMATS
+from plane_detector.ros.outputs.clouds import corners_to_msg
 from plane_detector.ros.outputs.frame import MapView
 from plane_detector.ros.outputs.messages import cloud_msg, point_msgs
 
-MAP_PLANE_DTYPE = np.dtype([
-    *((name, PLANE_DTYPE[name]) for name in PLANE_DTYPE.names),
-    ('first_seen', '<f8'), ('last_seen', '<f8'), ('views', '<u4'), ('subsumed_by', '<u4'),
-    ('sigma_normal', '<f4'), ('sigma_d', '<f4')], align=True)
+_OF_MAP = {'first_seen': '<f8', 'last_seen': '<f8', 'views': '<u4', 'subsumed_by': '<u4'}
+MAP_PLANE_DTYPE = np.dtype(list({**{name: FORMATS[name] for name in FIRST}, **_OF_MAP,
+                                 **FORMATS}.items()), align=True)
 _ALPHA = 0.5
 
 
@@ -40,13 +36,12 @@ def map_planes_to_msg(view: MapView) -> PointCloud2:
     planes, surfaces = view.snapshot.planes, view.snapshot.surfaces
     table = np.zeros(len(planes) + len(view.subsumed), MAP_PLANE_DTYPE)
     own, gone = table[:len(planes)], table[len(planes):]
-    fill_plane_table(own, planes, rectangles_of(surfaces).moved(view.snapshot.to_poses))
+    planes.write_to(own)
+    rectangles_of(surfaces).moved(view.snapshot.to_poses).write_to(own)
     for name, values in (
             ('first_seen', [plane.first_seen_s for plane in surfaces]),
             ('last_seen', [plane.last_seen_s for plane in surfaces]),
-            ('views', [plane.views for plane in surfaces]),
-            ('sigma_normal', np.sqrt(planes.normal_variances)),
-            ('sigma_d', np.sqrt(planes.covariances[:, 3, 3]))):
+            ('views', [plane.views for plane in surfaces])):
         own[name] = values
     for row, (label, larger) in zip(gone, sorted(view.subsumed.items()), strict=True):
         row['label'], row['subsumed_by'] = label, larger

@@ -9,16 +9,14 @@ import json
 import numpy as np
 from sensor_msgs.msg import PointCloud2
 
-from plane_detector.planes.classification import PlaneClass
+from plane_detector.plane_fields import POWERS, PlaneClass
+from plane_detector.planes.plane_table import PUBLISHED
 from plane_detector.ros.inputs.synchronizer import stamp_text
 from plane_detector.ros.outputs.messages import read_cloud
 
-_DIGITS = 4  # a tenth of a millimetre
-# By name in JSON: fields of ~/planes.
-_FIELDS = {'normal': ('normal_x', 'normal_y', 'normal_z'), 'centroid': ('x', 'y', 'z'),
-           'd': ('d',), 'width': ('rect_width',), 'height': ('rect_height',), 'area': ('area',),
-           'rms': ('rms',), 'confidence': ('confidence',)}
-_LENGTHS = ('d', 'centroid', 'width', 'height', 'rms')
+# By name in JSON; first what names a plane.
+_PARTS = {part.json: part for part in sorted(
+    PUBLISHED, key=lambda part: part.json not in ('label', 'class')) if part.json}
 
 
 def planes_to_json(msg: PointCloud2, is_metric: bool = True) -> str:
@@ -29,11 +27,10 @@ def planes_to_json(msg: PointCloud2, is_metric: bool = True) -> str:
     null while metres are not known. Of ``~/map/planes``, those that are part of another are left
     out.
     """
-    length = 'm' if is_metric else None
     return json.dumps({
         'stamp': stamp_text(msg), 'frame_id': msg.header.frame_id,
-        'units': {**dict.fromkeys(_LENGTHS, length), 'area': 'm^2' if is_metric else None,
-                  'num_inliers': 'px'},
+        'units': {name: part.unit if is_metric or not POWERS[part.unit] else None
+                  for name, part in _PARTS.items() if part.unit},
         'planes': _as_dicts(read_cloud(msg).ravel()) if msg.height else []})
 
 
@@ -41,10 +38,18 @@ def _as_dicts(table: np.ndarray) -> list[dict[str, object]]:
     """Return the rows of ``~/planes`` with plain values."""
     if 'subsumed_by' in table.dtype.names:
         table = table[table['subsumed_by'] == 0]
-    column = {name: table[name].tolist() for name in table.dtype.names}
-    rounded = {name: [round(value, _DIGITS) for value in column[name]]
-               for names in _FIELDS.values() for name in names}
-    return [{'label': column['label'][k], 'class': PlaneClass(column['class'][k]).readable,
-             **{name: [rounded[field][k] for field in fields] if len(fields) > 1
-                else rounded[fields[0]][k] for name, fields in _FIELDS.items()},
-             'num_inliers': column['num_inliers'][k]} for k in range(len(table))]
+    columns = {}
+    for name, part in _PARTS.items():
+        if not set(fields := part.names.split()) <= set(table.dtype.names):
+            continue  # of a bag that an earlier version wrote
+        values = [_plain(field, table[field].tolist(), part.digits) for field in fields]
+        columns[name] = list(zip(*values, strict=True)) if len(fields) > 1 else values[0]
+    return [dict(zip(columns, row, strict=True))
+            for row in zip(*columns.values(), strict=True)]
+
+
+def _plain(field: str, values: list, digits: int) -> list:
+    """Return the values of a field, rounded; of a class its name."""
+    if field == 'class':
+        return [PlaneClass(value).readable for value in values]
+    return [round(value, digits) for value in values]

@@ -37,11 +37,12 @@ from rosbags.typesys import Stores, get_typestore
 
 from plane_detector import drawing
 from plane_detector.geometry.projection import depth_to_points
+from plane_detector.planes.plane_table import PLANE_DTYPE
 from plane_detector.ros.inputs.synchronizer import stamp_text
-from plane_detector.ros.outputs.clouds import PLANE_DTYPE, SHAPE_DTYPE
+from plane_detector.ros.outputs.clouds import SHAPE_DTYPE
 from plane_detector.ros.outputs.frame import DetectedFrame
 from plane_detector.scale.estimate import RELATIVE
-from plane_detector.tools.files import csv_row, depth_panel, write_ply
+from plane_detector.tools.files import csv_head, csv_row, depth_panel, write_ply
 from plane_detector.tools.replay.bag_reader import BagError, BagReader, Recorded
 
 STORAGES = {'mcap': StoragePlugin.MCAP, 'sqlite3': StoragePlugin.SQLITE3}
@@ -225,7 +226,7 @@ class ReplayFiles:
             draft = self._opened.enter_context(Draft(path))
             file = self._opened.enter_context(
                 open(draft.path, 'w', newline='', encoding='utf-8'))
-            csv.writer(file).writerow(['frame', 'stamp', *_ROWS[name].names])
+            csv.writer(file).writerow(['frame', 'stamp', *csv_head(_ROWS[name])])
             self._tables[name] = draft, file
         return self
 
