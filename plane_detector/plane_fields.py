@@ -251,8 +251,8 @@ class PlaneColumns(Columns):
         'rms_m', Published('rms', 'rms'), unit='m', doc='root mean square distance of its points')
     areas_m2: np.ndarray = column(
         'area_m2', Published('area', 'area'), unit='m^2',
-        doc='visible area: the part of the plane that its pixels cover, without holes; never above '
-            'that of the rectangle')
+        doc='visible area: the part of the plane that its pixels cover, without holes; never '
+            'above that of the rectangle')
     # (K, 4, 4), of (normal, offset_m), from the fit.
     covariances: np.ndarray = column(
         'covariance',
@@ -264,7 +264,7 @@ class PlaneColumns(Columns):
         Published(' '.join(f'cov_{"xyzd"[i]}{"xyzd"[j]}'
                            for i, j in zip(_ROWS.tolist(), _COLUMNS.tolist(), strict=True)),
                   doc='covariance of `normal_x` `normal_y` `normal_z` `d`, the upper triangle by '
-                      'rows; along the normal it is 0. See [below](#covariance)',
+                      'rows; in m for each `d`. See [covariance](#covariance)',
                   of=lambda values: values[:, _ROWS, _COLUMNS]),
         shape=(4, 4), moves=Moves.COVARIANCE)
     confidences: np.ndarray = column(

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""The fields of ``~/planes``, in their order: those of planes and of the rectangles around them."""
+"""The fields of ``~/planes`` in their order, of planes and of the rectangles around them."""
 
 from __future__ import annotations
 

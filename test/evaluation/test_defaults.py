@@ -43,7 +43,7 @@ def test_yaml_file_is_as_generated():
 
 def test_table_is_as_generated():
     page = (ROOT / 'docs' / 'parameters.md').read_text(encoding='utf-8')
-    assert page == parameters.with_table(page, 'parameters', parameters.parameter_table()), 'run `make defaults`'
+    assert parameters.parameter_table() in page, 'run `make defaults`'
     for name in DEFAULTS:
         assert page.count(f'| `{name}` |') == 1
 
