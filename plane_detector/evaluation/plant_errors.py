@@ -27,7 +27,8 @@ TESTS = {
     'segmentation': ('test/test_cameras.py', 'test/test_scores.py', 'test/test_handed_over.py',
                      'test/segmentation'),
     'planes': ('test/test_cameras.py', 'test/planes'),
-    'geometry': ('test/test_cameras.py', 'test/test_handed_over.py', 'test/geometry'),
+    'geometry': ('test/test_cameras.py', 'test/test_handed_over.py', 'test/geometry',
+                 'test/test_plane_fields.py'),
     'scale': ('test/test_cameras.py', 'test/scale'),
     'directions': ('test/directions', 'test/test_pipeline_directions.py',
                    'test/test_stream_state.py'),
@@ -251,9 +252,14 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
         ('apex, axis * np.', 'apex, -axis * np.', 'cones on the other side'),),
     'shapes/labelling.py': (
         ('high_m - low_m', 'high_m', 'a cylinder is measured from its position'),),
-    'types.py': (
-        ('self.offsets_m - normals', 'self.offsets_m + normals', 'sign of the translation'),
-        ('-translation_m @ rotation', '-translation_m', 'covariance moved without the rotation')),
+    'plane_fields.py': (
+        ('scale * values - normals', 'scale * values + normals', 'sign of the translation'),
+        ('-translation_m @ rotation', '-translation_m', 'covariance moved without the rotation'),
+        ('scale**power', 'scale**-power', 'another unit divides'),
+        ('normal_x normal_y', 'normal_y normal_x', 'swapped fields of ~/planes'),
+        ('values[:, 3, 3]', 'values[:, 2, 2]', 'the error of a normal for that of d'),
+        ("return np.sqrt(np.maximum(variances, 0.0))", "return np.maximum(variances, 0.0)",
+         'variances for deviations')),
     'tracking/camera_motion.py': (
         ('(min(max((rotation.trace', '(min(min((rotation.trace', 'any turn is as likely'),
         ('[-normals * typical_m', '[-normals / typical_m', 'translation in the wrong unit'),
@@ -381,7 +387,6 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
         ('-self.to_base.rotation[2]', '-self.to_base.rotation[:, 2]',
          'gravity in the wrong frame'),),
     'ros/outputs/clouds.py': (
-        ("normal_x', 'normal_y", "normal_y', 'normal_x", 'swapped fields of ~/planes'),
         ('target_header, PLANE_DTYPE',
          'header, PLANE_DTYPE', '~/planes in the frame of the camera'),
         ('polygon.corners_m[:1]', 'polygon.corners_m[-1:]', 'outlines that do not close'),
@@ -392,16 +397,12 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
         ('[found.shape_labels[is_shape]]', '[found.shape_labels[is_shape] - 1]',
          'pixels of another shape'),),
     'ros/outputs/map_messages.py': (
-        ('planes.covariances[:, 3, 3]',
-         'planes.covariances[:, 2, 2]', 'the error of a normal for that of d'),
         ('rectangles_of(surfaces).moved(view.snapshot.to_poses)', 'rectangles_of(surfaces)',
          'rectangles of a map before its correction'),
-        ('np.sqrt(planes.normal_variances)', 'planes.normal_variances',
-         'variances of a map for deviations'),
         ('view.snapshot.to_poses.points(_triangles(plane))', '_triangles(plane)',
          'surfaces of a map before its correction')),
     'ros/outputs/plane_json.py': (
-        ("'m^2' if is_metric else None", "'m^2'",
+        ('is_metric or not POWERS[part.unit]', 'is_metric or part.unit',
          'areas in metres without metres'),),
     'ros/outputs/messages.py': (
         ('(z_axes, x_axes)', '(x_axes, z_axes)', 'poses are mirrored'),),
