@@ -258,7 +258,7 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
         ('scale**power', 'scale**-power', 'another unit divides'),
         ('normal_x normal_y', 'normal_y normal_x', 'swapped fields of ~/planes'),
         ('values[:, 3, 3]', 'values[:, 2, 2]', 'the error of a normal for that of d'),
-        ("return np.sqrt(np.maximum(variances, 0.0))", "return np.maximum(variances, 0.0)",
+        ('return np.sqrt(np.maximum(variances, 0.0))', 'return np.maximum(variances, 0.0)',
          'variances for deviations')),
     'tracking/camera_motion.py': (
         ('(min(max((rotation.trace', '(min(min((rotation.trace', 'any turn is as likely'),

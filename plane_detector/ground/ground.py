@@ -663,7 +663,7 @@ def _classes(found: PlaneSegmentation, surfaces: Surfaces, above: np.ndarray, jo
              at_level: np.ndarray, risers: np.ndarray, step_range_m: float,
              steepest_deg: float, own: int) -> np.ndarray:
     """Return the class of each plane (K,)."""
-    classes = np.append(classify_planes(found.planes, surfaces.down), PlaneClass.FLOOR)
+    classes = np.append(classify_planes(found.planes, surfaces.down), np.uint8(PlaneClass.FLOOR))
     is_sure_slope = np.append(are_certain(found.planes, surfaces.down, steepest_deg), True)
     is_level = surfaces.slopes_deg <= LEVEL_DEG
     # Steps are reached from the ground, or from other steps; without metres there are none.
