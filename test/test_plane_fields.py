@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from plane_detector import CameraIntrinsics, Config, PlaneDetector
+from plane_detector import CameraIntrinsics, Config, PlaneDetector, segment_planes
 from plane_detector.config import DepthConfig, ScaleConfig, TrackingConfig
 from plane_detector.directions.finder import CameraImage, find_in_image
 from plane_detector.evaluation.metrics import overlap
@@ -216,6 +216,12 @@ def test_every_column_is_that_of_the_scene(column, frame):
         view = FRAMES[frame](image(seed)[0])
         assert len(view.planes) >= 2
         assert CHECKS[column](view) in (None, True), seed
+
+
+def test_the_planes_of_a_single_image_are_numbered():
+    scene = random_room(np.random.default_rng(SEEDS[0]), CAMERA)
+    labels = segment_planes(scene.depth_m, CAMERA).planes.labels
+    assert labels.tolist() == list(range(1, len(labels) + 1)) != []
 
 
 def test_the_scenes_have_what_the_checks_compare():

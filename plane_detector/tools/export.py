@@ -22,7 +22,6 @@ import yaml
 
 from plane_detector.drawing import plane_colours
 from plane_detector.ending import run_program
-from plane_detector.mapping.cells import runs
 from plane_detector.mapping.map_file import SavedMap, read_map
 from plane_detector.mapping.map_plane import MapPlane, polygons_of, rectangles_of
 from plane_detector.types import PlaneClass
@@ -229,24 +228,72 @@ def write_keep_out(plan: FloorPlan, path: Path) -> None:
 
 
 def to_ply(saved: SavedMap) -> str:
-    """Return the surfaces as rectangles with the colours of their classes, in ASCII PLY."""
+    """
+    Return the surfaces as a mesh with the colours of their classes, in ASCII PLY.
+
+    Its faces are convex pieces of the outlines without their holes, counterclockwise as seen from
+    the side that the camera has seen, each with the label of its plane.
+    """
     to_frame, vertices, faces = saved.transform.inverse(), [], []
     labels = np.array([plane.label for plane in saved.planes], int)
     classes = np.array([plane.plane_class for plane in saved.planes], int)
     for plane, colour in zip(saved.planes, plane_colours(labels, classes).tolist(), strict=True):
-        for top, bottom, left, right in runs(plane.cells).tolist():
-            corners = np.array([[left, top], [right, top], [right, bottom], [left, bottom]])
-            corners_m = to_frame.points(plane.points(
-                plane.cells.size_m * (corners + np.array(plane.cells.low))))
-            faces.append(f'4 {" ".join(str(len(vertices) + k) for k in range(4))}')
+        for piece in convex_pieces([corners for corners, _ in plane.cells.outlines]):
+            faces.append(' '.join(map(str, [len(piece), *(
+                len(vertices) + k for k in range(len(piece))), plane.label])))
             vertices += [' '.join([*(f'{value:.4f}' for value in corner_m), *map(str, colour)])
-                         for corner_m in corners_m]
+                         for corner_m in to_frame.points(plane.points(piece)).tolist()]
     return '\n'.join([
         'ply', 'format ascii 1.0', f'element vertex {len(vertices)}',
         *(f'property float {axis}' for axis in 'xyz'),
         *(f'property uchar {name}' for name in ('red', 'green', 'blue')),
-        f'element face {len(faces)}', 'property list uchar int vertex_indices', 'end_header',
-        *vertices, *faces, ''])
+        f'element face {len(faces)}', 'property list uchar int vertex_indices',
+        'property int label', 'end_header', *vertices, *faces, ''])
+
+
+def convex_pieces(rings: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """
+    Return trapezoids and triangles (3 or 4, 2), counterclockwise, that fill closed outlines.
+
+    Holes are outlines inside of others. From corner to corner in height no edge ends: in order,
+    each encloses a piece with the next one, which goes on as long as these two stay neighbours.
+
+    Examples
+    --------
+    >>> square = np.array([[0.0, 0.0], [3.0, 0.0], [3.0, 3.0], [0.0, 3.0]])
+    >>> len(convex_pieces([square])), len(convex_pieces([square, square / 3 + 1]))
+    (1, 4)
+
+    """
+    if not rings:
+        return []
+    corners = np.concatenate(rings)
+    edges = np.stack([corners, np.concatenate([np.roll(ring, -1, axis=0) for ring in rings])], 1)
+    edges = edges[edges[:, 0, 1] != edges[:, 1, 1]]
+    is_down = edges[:, 0, 1] > edges[:, 1, 1]
+    edges[is_down] = edges[is_down, ::-1]
+    levels = np.unique(corners[:, 1])
+
+    def across(index: np.ndarray, height: float) -> np.ndarray:
+        (x, low), (x_high, high) = edges[index].transpose(1, 2, 0)
+        return x + (x_high - x) * ((height - low) / (high - low))
+
+    pieces: list[np.ndarray] = []
+    begun: dict[tuple[int, int], float] = {}
+    for low, high in zip(levels, [*levels[1:], np.inf], strict=True):
+        there = np.flatnonzero((edges[:, 0, 1] <= low) & (edges[:, 1, 1] >= high))
+        there = there[np.argsort(across(there, (low + high) / 2))].tolist() if len(there) else []
+        pairs = {pair: begun.get(pair, low)
+                 for pair in zip(there[::2], there[1::2], strict=True)}
+        for pair, begin in begun.items():
+            if pair not in pairs:
+                # Simplified outlines may cross each other a little.
+                lower, upper = (np.sort(across(np.array(pair), y)) for y in (begin, low))
+                whole = np.array([[lower[0], begin], [lower[1], begin], [upper[1], low],
+                                  [upper[0], low]])
+                pieces.append(whole[(whole != np.roll(whole, 1, axis=0)).any(axis=1)])
+        begun = pairs
+    return [piece for piece in pieces if len(piece) > 2]  # outlines may touch themselves
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -15,7 +15,7 @@ from map_helpers import map_plane
 from plane_detector.geometry.rigid_transform import RigidTransform
 from plane_detector.mapping.map_file import SavedMap, write_map
 from plane_detector.mapping.map_plane import as_planes, new_axes
-from plane_detector.tools.export import floor_plan, main
+from plane_detector.tools.export import convex_pieces, floor_plan, main, to_ply
 from plane_detector.types import PlaneClass
 
 
@@ -109,3 +109,70 @@ def test_a_file_that_is_no_map_gives_a_reason(tmp_path, capsys):
     (tmp_path / 'map.json').write_text('{')
     assert main([str(tmp_path / 'map.json'), '--ply', str(tmp_path / 'out.ply')]) == 1
     assert 'is not a whole map' in capsys.readouterr().err
+
+
+def area_of(corners):
+    """Return the area of a polygon (N, 2), positive if it is counterclockwise."""
+    following = np.roll(corners, -1, axis=0)
+    return 0.5 * np.sum(corners[:, 0] * following[:, 1] - corners[:, 1] * following[:, 0])
+
+
+def is_inside(polygon, points):
+    """Return which points (N, 2) a convex counterclockwise polygon has inside."""
+    sides = np.roll(polygon, -1, axis=0) - polygon
+    away = points[:, None] - polygon
+    return (sides[:, 0] * away[..., 1] - sides[:, 1] * away[..., 0] > 0).all(axis=1)
+
+
+def star(rng, count, middle, radii):
+    """Return a polygon around a point that is not convex."""
+    angle = np.sort(rng.uniform(0, 2 * np.pi, count))
+    return middle + rng.uniform(*radii, count)[:, None] * np.column_stack(
+        [np.cos(angle), np.sin(angle)])
+
+
+@pytest.mark.parametrize('seed', range(20))
+def test_pieces_are_convex_and_fill_the_outlines_once_without_their_holes(seed):
+    rng = np.random.default_rng(seed)
+    outer = star(rng, 40, np.zeros(2), (2, 4))
+    hole, other = star(rng, 12, [0.2, 0.1], (0.3, 0.6)), star(rng, 9, [9.0, 1.0], (1, 2))
+    rings = [outer, hole[::-1], other]
+    if seed % 2:  # of cells: many corners of one height
+        rings = [np.round(4 * ring) / 4 for ring in rings]
+    pieces = convex_pieces(rings)
+    for piece in pieces:
+        turns = [area_of(np.roll(piece, -k, axis=0)[:3]) for k in range(len(piece))]
+        assert len(piece) in (3, 4) and min(turns) > -1e-12
+    points = rng.uniform([-5, -5], [12, 5], (4000, 2))
+    times = sum(is_inside(piece, points).astype(int) for piece in pieces)
+    inside = np.array([[cv2.pointPolygonTest(ring.astype(np.float32), point.tolist(), False) > 0
+                        for ring in rings] for point in points]).sum(axis=1) % 2
+    assert (times == inside).mean() > 0.998  # rounded outlines cross themselves here and there
+    if not seed % 2:
+        assert (times == inside).all()
+        assert sum(map(area_of, pieces)) == pytest.approx(
+            abs(area_of(outer)) - abs(area_of(hole)) + abs(area_of(other)))
+
+
+def test_a_window_is_a_hole_in_the_mesh_and_a_slanted_border_is_straight():
+    """A wall with a window, and a gable over it; faces look to the side that was seen."""
+    seen = np.ones((60, 80))
+    seen[20:40, 30:50] = 0
+    rows, columns = np.mgrid[:60, :80]
+    seen[rows > 30 + columns] = 0
+    wall = surface(4, PlaneClass.WALL, (0, -1, 0), (0, 3, 0), seen)
+    turn = RigidTransform.from_quaternion((0, 0, 0.6, 0.8), (1.0, 2.0, 0.0))
+    lines = to_ply(SavedMap((wall,), turn.inverse(), 'odom', 1.0)).splitlines()
+    head = lines.index('end_header')
+    numbers = {line.split()[1]: int(line.split()[2]) for line in lines if 'element' in line}
+    vertices = np.array([line.split() for line in lines[head + 1:][:numbers['vertex']]], float)
+    faces = [list(map(int, line.split())) for line in lines[head + 1 + numbers['vertex']:]]
+    assert len(faces) == numbers['face'] < 12 and {face[-1] for face in faces} == {4}
+    placed, area_m2 = turn.inverse().points(vertices[:, :3]), 0.0
+    assert placed[:, 1] == pytest.approx(3, abs=1e-3)
+    for count, *corners, _ in faces:
+        assert len(corners) == count
+        flat = placed[corners][:, [0, 2]]
+        area_m2 += area_of(flat)  # x to the right, z up, as seen from -y
+        assert not is_inside(flat, np.array([[40 * wall.cells.size_m, 30 * wall.cells.size_m]]))
+    assert area_m2 == pytest.approx(seen.sum() * wall.cells.size_m**2, rel=0.02)
