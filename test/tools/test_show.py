@@ -104,13 +104,14 @@ def test_json_is_a_line_with_units():
     assert (found['units']['d'], found['units']['area']) == ('m', 'm^2')
     wall, floor = found['planes']
     row = cloud_array(two_planes())[0][0]
-    assert wall == {
+    expected = {
         'label': 7, 'class': 'wall', 'normal': [-0.28, 0.0, -0.96],
         'centroid': [pytest.approx(row[axis], abs=1e-4) for axis in 'xyz'], 'd': 3.0,
         'width': pytest.approx(row['rect_width'], abs=1e-4),
         'height': pytest.approx(row['rect_height'], abs=1e-4), 'area': 2.5, 'rms': 0.003,
         'confidence': 0.75, 'num_inliers': row['num_inliers'],
         'sigma_normal': pytest.approx(3**0.5), 'sigma_d': 1.0}
+    assert {name: wall[name] for name in expected} == expected
     assert (floor['label'], floor['class']) == (3, 'floor')
     assert json.loads(planes_to_json(two_planes(), is_metric=False))['units']['d'] is None
 

@@ -9,13 +9,17 @@ import cv2
 import numpy as np
 import output_scene as scene
 import pytest
+from numpy.lib.recfunctions import repack_fields
 from ros_helpers import FRAME_ID, cloud_array, header, image_array
 from scipy.spatial.transform import Rotation
 
 from plane_detector.drawing import label_colours, plane_colours
 from plane_detector.geometry.rigid_transform import RigidTransform
+from plane_detector.planes.plane_table import FIRST, PLANE_DTYPE
 from plane_detector.ros.outputs.grid import grid_to_msg
-from plane_detector.ros.outputs.messages import read_cloud
+from plane_detector.ros.outputs.map_messages import MAP_PLANE_DTYPE
+from plane_detector.ros.outputs.messages import cloud_msg, read_cloud
+from plane_detector.ros.outputs.plane_json import planes_to_json
 from plane_detector.ros.outputs.topics import OUTPUTS
 from plane_detector.types import (
     NO_PLANES,
@@ -330,3 +334,21 @@ def test_planes_as_json():
         assert plane['normal'] == pytest.approx([float(row[f'normal_{a}']) for a in 'xyz'],
                                                 abs=1e-4)
         assert plane['centroid'] == pytest.approx([float(row[a]) for a in 'xyz'], abs=1e-4)
+
+
+def test_planes_of_a_bag_of_an_earlier_version_are_json_without_what_it_lacks():
+    rows, old = cloud_array(make('planes'))[0], [*FIRST]
+    msg = cloud_msg(header(1.5), np.dtype([(name, rows.dtype[name]) for name in old]),
+                    repack_fields(rows[old]), 1, len(rows))
+    now, then = (json.loads(planes_to_json(one))['planes'] for one in (make('planes'), msg))
+    assert len(then) == len(now) == 2
+    for plane, before in zip(now, then, strict=True):
+        assert before == {name: plane[name] for name in before}
+        assert set(plane) - set(before) == {'sigma_normal', 'sigma_d'}
+
+
+def test_fields_of_planes_of_a_map_stay_where_they_were():
+    names = MAP_PLANE_DTYPE.names
+    assert names[:len(FIRST) + 6] == (*FIRST, 'first_seen', 'last_seen', 'views', 'subsumed_by',
+                                      'sigma_normal', 'sigma_d')
+    assert set(PLANE_DTYPE.names) < set(names)

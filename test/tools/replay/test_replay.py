@@ -32,6 +32,7 @@ from plane_detector.ros.outputs.clouds import SHAPE_DTYPE
 from plane_detector.ros.outputs.topics import OUTPUTS
 from plane_detector.tools.replay.bag_reader import BagReader, to_message
 from plane_detector.tools.replay.inputs import input_class
+from plane_detector.types import PlaneClass
 
 # Not written by default.
 MISSING = {f'/plane_detector/{name}'
@@ -130,6 +131,8 @@ def test_figures_clouds_and_table(bag, scenes, replay, tmp_path):
     assert {row['frame'] for row in rows} == {str(index) for index in range(len(scenes))}
     assert all(float(row['stamp']) == pytest.approx(stamp_s(int(row['frame']))) for row in rows)
     assert all(float(row['d']) >= 0 and int(row['label']) >= 1 for row in rows)
+    assert {row['class_name'] for row in rows} == {
+        PlaneClass(int(row['class'])).readable for row in rows}
 
 
 def test_parameters_from_a_file(bag, replay, tmp_path):
