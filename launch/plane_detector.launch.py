@@ -33,6 +33,7 @@ ARGUMENTS = {
     'depth_transport': ('', 'raw or compressedDepth'),
     'depth_colour': ('', 'none: depth alone, no image is needed'),
     'depth_model': ('', 'depth network: a name of the zoo, an .onnx file or auto'),
+    'network_threads': ('', 'threads of the depth network; empty or 0: one per core'),
     'image_transport': ('', 'raw or compressed'),
     'max_side': ('', 'larger images are reduced to this many pixels'),
     'camera_height': ('', 'height of the camera above the floor in metres'),
@@ -58,15 +59,18 @@ TOPICS = ('image', 'camera_info', 'depth', 'imu')
 # Those whose parameter has another name.
 PARAMETERS = {'depth_source': 'depth.source', 'depth_transport': 'depth.transport',
               'depth_colour': 'depth.colour', 'depth_model': 'depth.model',
-              'processing_mode': 'mode', 'camera_height': 'scale.camera_height',
-              'gravity': 'scale.gravity', 'mounting': 'directions.mounting',
-              'plane_map': 'map.enabled', 'map_file': 'map.file'}
-OVERRIDES = ('depth_source', 'depth_transport', 'depth_colour', 'depth_model', 'image_transport',
-             'max_side', 'camera_height', 'gravity', 'mounting', 'use_imu', 'base_frame',
+              'network_threads': 'depth.threads', 'processing_mode': 'mode',
+              'camera_height': 'scale.camera_height', 'gravity': 'scale.gravity',
+              'mounting': 'directions.mounting', 'plane_map': 'map.enabled',
+              'map_file': 'map.file'}
+OVERRIDES = ('depth_source', 'depth_transport', 'depth_colour', 'depth_model', 'network_threads',
+             'image_transport', 'max_side', 'camera_height', 'gravity', 'mounting', 'use_imu',
+             'base_frame',
              'target_frame', 'plane_map', 'map_file', 'points_color', 'processing_mode',
              'autostart', 'use_sim_time')
 # What their text is turned into, where the parameter is no text.
-READ = {**dict.fromkeys(SWITCHES, IS_ON.get), 'max_side': int, 'camera_height': float,
+READ = {**dict.fromkeys(SWITCHES, IS_ON.get), 'max_side': int, 'network_threads': int,
+        'camera_height': float,
         'gravity': lambda text: [float(number) for number in re.findall(r'[-+.\de]+', text)]}
 # The topics of drivers, not tried with the devices: of Orbbec as its documentation names them, of
 # the others as users' launch files do; the pages named are where to check. Depth is registered.

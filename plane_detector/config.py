@@ -75,8 +75,7 @@ class DepthConfig(Settings, section='depth'):
         ('CPUExecutionProvider',), 'ONNX Runtime execution providers; the first one that '
         'runs is used')
     threads: int = fixed_setting(
-        0, 'threads within one operator of the network; 0: chosen by ONNX Runtime', '', 0, 256,
-        inner=True)
+        0, 'threads of the network; 0: one per core', '', 0, 256)
     cache_dir: str = fixed_setting(
         '', 'folder of the downloaded networks; empty: $XDG_CACHE_HOME/plane_detector')
 

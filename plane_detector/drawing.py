@@ -190,7 +190,7 @@ def overlay(rgb: np.ndarray, labels: np.ndarray, colours: np.ndarray | None = No
     """
     result = tint(rgb, labels, colours)
     _draw_outlines(result, labels)
-    _draw_numbers(result, label_places(labels) if places is None else places)
+    draw_numbers(result, label_places(labels) if places is None else places)
     return result
 
 
@@ -324,7 +324,7 @@ def _draw_outlines(rgb: np.ndarray, labels: np.ndarray) -> None:
     cv2.bitwise_or(rgb, cv2.merge([white] * 3), dst=rgb)
 
 
-def _draw_numbers(rgb: np.ndarray, places: Mapping[int, LabelPlace]) -> None:
+def draw_numbers(rgb: np.ndarray, places: Mapping[int, LabelPlace]) -> None:
     """Write each label where its plane is widest, unless the plane is too thin for a number."""
     for label, place in places.items():
         if place.half_width_px > _TEXT_HALF_HEIGHT * rgb.shape[0]:

@@ -207,7 +207,7 @@ def test_every_parameter_of_an_argument_exists(launched, file):
     names = {name for part in (Config(), NodeConfig()) for name, _, _ in parameters_of(part)}
     texts = dict.fromkeys(file['ARGUMENTS'], 'true') | {
         'params_file': '', 'camera': '', 'max_side': '640', 'camera_height': '1.2',
-        'gravity': '0 1 0'} | {name: file['CHOICES'][name][1] for name in CHOSEN}
+        'network_threads': '2', 'gravity': '0 1 0'} | {name: file['CHOICES'][name][1] for name in CHOSEN}
     node, _ = launched(**texts)
     assert set(node['parameters'][1]) <= names | {'use_sim_time'}
     assert len(node['parameters'][1]) == len(file['OVERRIDES']) + 1
@@ -332,3 +332,48 @@ def test_the_manager_has_name_and_namespace_of_the_node(managed, monkeypatch):
     assert manager['parameters'] == [{'autostart': True, 'node_names': ['planes'],
                                       'bond_timeout': 0.0, 'service_timeout': 600.0,
                                       'use_sim_time': True}]
+
+
+@pytest.fixture
+def several(read):
+    """Return a function: values -> the keyword arguments of all nodes, as launch starts them."""
+    def launch(**values):
+        argument, start = read('several_cameras.launch.py')['generate_launch_description']()
+        values = {argument[0]: argument[1]['default_value']} | values
+        started = []
+        for included, rest in start(SimpleNamespace(launch_configurations=values)):
+            # Arguments of an included file stay set for those after it.
+            values |= dict(rest['launch_arguments'])
+            file = runpy.run_path(included)
+            its, start_nodes = declared(file, values)
+            started += start_nodes(SimpleNamespace(launch_configurations=its))
+        return started
+    return launch
+
+
+def test_each_camera_has_a_node_in_its_namespace_and_its_share_of_the_cores(several, monkeypatch):
+    monkeypatch.setattr('os.cpu_count', lambda: 8)
+    front, rviz, rear = several(cameras='front, rear', image='color/image_raw', rviz='true',
+                                base_frame='base_footprint')
+    assert (front['namespace'], rear['namespace']) == ('front', 'rear')
+    assert rviz['executable'] == 'rviz'
+    for node in (front, rear):
+        assert node['executable'] == 'node'
+        assert node['remappings'] == [('image', 'color/image_raw')], 'below its namespace'
+        assert node['parameters'][1]['depth.threads'] == 4
+        assert node['parameters'][1]['base_frame'] == 'base_footprint'
+
+
+def test_threads_that_are_given_are_kept_and_never_none(several, monkeypatch):
+    monkeypatch.setattr('os.cpu_count', lambda: 2)
+    assert {node['parameters'][1]['depth.threads'] for node in several(cameras='a,b,c')} == {1}
+    assert {node['parameters'][1]['depth.threads']
+            for node in several(cameras='a,b', network_threads='3')} == {3}
+
+
+@pytest.mark.parametrize('values', [{'cameras': ''}, {'cameras': 'front,front'},
+                                    {'cameras': 'front', 'camera': 'realsense'},
+                                    {'cameras': 'front', 'namespace': 'robot'}])
+def test_cameras_that_make_no_sense_are_refused(several, values):
+    with pytest.raises(ValueError, match='different names|single camera'):
+        several(**values)
