@@ -16,7 +16,9 @@ setup(
         exclude=[f'{NAME}.evaluation', f'{NAME}.evaluation.*']),
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
-        (f'share/{NAME}', ['package.xml']),
+        (f'share/{NAME}', ['package.xml', 'LICENSE']),
+        (f'share/{NAME}/docs', sorted(glob('docs/*.md'))),
+        (f'share/{NAME}/docs/figures', sorted(glob('docs/figures/*'))),
         (f'share/{NAME}/config', sorted(glob('config/*'))),
         (f'share/{NAME}/launch', sorted(glob('launch/*.launch.py'))),
         (f'share/{NAME}/examples', sorted(glob('docs/examples/*'))),

@@ -3,14 +3,15 @@
 """
 Plane detection with an ordinary colour camera.
 
-:class:`~plane_detector.pipeline.PlaneDetector` runs the stages; each has its own folder::
+:class:`~plane_detector.pipeline.PlaneDetector` runs the stages; each has its own folder:
 
-    seen = source.observe(rgb, intrinsics)            depth/         image to depth or disparity
-    around = finder.find(image)                       directions/    vertical and horizontal axes
-    regions = segment(seen.disparity, noise_floor)    segmentation/  disparity to planar regions
-    scale = estimate_scale(disparity, ray_planes)     scale/         scale and shift to metres
-    planes = measure_planes(regions.rescaled(scale))  planes/        normal, offset, extent, class
-    labels = tracker.update(planes)                   tracking/      stable labels
+- depth/: image to depth or disparity
+- directions/: lines of the image to vertical and horizontal axes
+- segmentation/: disparity to planar regions
+- scale/: scale and shift to metres
+- planes/: normal, offset, extent, covariance, class
+- ground/: ground, obstacles, drops
+- tracking/: stable labels
 
 The node in ros/ does this for the images of a topic and publishes the results.
 
@@ -35,6 +36,8 @@ _HOMES = {'CameraIntrinsics': 'types', 'Config': 'config', 'Detection': 'types',
           'PlaneDetector': 'pipeline', 'PlaneSegmentation': 'types',
           'segment_planes': 'pipeline'}
 __all__ = [*_HOMES]
+PAGES = '$(ros2 pkg prefix --share plane_detector)/docs'
+"""Where the pages of docs/ are installed, for messages and helps."""
 
 
 def __getattr__(name: str) -> Any:

@@ -9,7 +9,10 @@ Print the planes of each image and how many points each has. Copy it, and change
 Planes and points have the same stamp, and `label` joins them.
 """
 
+from contextlib import suppress
+
 import rclpy
+from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
 from sensor_msgs_py.point_cloud2 import read_points
@@ -44,7 +47,8 @@ class PlaneListener(Node):
 def main():
     """Print until Ctrl-C."""
     rclpy.init()
-    rclpy.spin(PlaneListener())
+    with suppress(KeyboardInterrupt, ExternalShutdownException):
+        rclpy.spin(PlaneListener())
 
 
 if __name__ == '__main__':

@@ -11,6 +11,8 @@ surface of what stands on it, `support_surface_name` of MoveIt's Pickup and Plac
 the allowed collisions. MoveIt must know the frame of the map.
 """
 
+from contextlib import suppress
+
 # Classes of level surfaces above the floor: 4, and 7 within half a metre of it. A table that fills
 # the view of an arm looks like a floor (1), which is no table below z = LEAST_HEIGHT_M. For an arm
 # on its own table, whose frame begins there, lower that; or state the height of the camera above
@@ -53,6 +55,7 @@ def main():
             f'MoveIt is missing ({error}): apt install ros-jazzy-moveit-msgs') from error
     import rclpy
     from geometry_msgs.msg import Point, Pose, Quaternion
+    from rclpy.executors import ExternalShutdownException
     from rclpy.qos import DurabilityPolicy, QoSProfile
     from sensor_msgs.msg import PointCloud2
     from sensor_msgs_py.point_cloud2 import read_points
@@ -84,7 +87,8 @@ def main():
 
     latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     node.create_subscription(PointCloud2, '/plane_detector/map/planes', on_planes, latched)
-    rclpy.spin(node)
+    with suppress(KeyboardInterrupt, ExternalShutdownException):
+        rclpy.spin(node)
 
 
 if __name__ == '__main__':

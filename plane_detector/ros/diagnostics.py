@@ -40,6 +40,9 @@ REDUCED_PX = 1280
 """Longer side that is advised for larger images."""
 # By contract: a camera that is not mounted as stated is reported if it lasts.
 _MISPLACED_S = 5.0
+# chosen: gravity is often found in the second image; a warning that the next line takes back is
+# none.
+_PATIENT_IMAGES = 3
 _NUMBER = re.compile(r'-?\d+(\.\d+)?')
 # Smaller differences are those of the clocks.
 _TOLERANCE = 1.1
@@ -159,7 +162,7 @@ class Health:
 
     def clear(self) -> None:
         """Discard the state of earlier frames: missing inputs are logged again."""
-        self._gap = ''
+        self._gap, self._gap_images = '', 0
         self._misplaced_s, self._misplaced = math.nan, ''
         self._warned: set[str] = set()
         self._last_warned: dict[str, str] = {}
@@ -186,10 +189,24 @@ class Health:
             self.warn_once('constant depth', detection.constant_note)
         before, self._gap = self._gap, missing_for_classes(detection, wanted)
         if self._gap:  # numbers in it vary from frame to frame
-            self.warn_once(_NUMBER.sub('', self._gap), self._gap)
-        elif before and (after := f'after {_NUMBER.sub("", before)}') not in self._warned:
-            self._warned.add(after)
-            self._logger.info(f'no longer: {before.partition(":")[0]}')
+            self._gap_images += 1
+            if self._gap_images >= _PATIENT_IMAGES:
+                self.warn_once(_NUMBER.sub('', self._gap), self._gap)
+        elif before:
+            self._note_filled(before, detection)
+            self._gap_images = 0
+
+    def _note_filled(self, gap: str, detection: Detection) -> None:
+        """Log once what is known now, if its absence was a warning or the image has shown it."""
+        is_in_image = 'gravity' in gap and not math.isnan(detection.gravity_probability)
+        if self._gap_images < _PATIENT_IMAGES and not is_in_image:
+            return
+        filled = (f'gravity found in the image, probability {detection.gravity_probability:.2f}'
+                  if is_in_image else f'gravity known: {detection.gravity_source}'
+                  if 'gravity' in gap else gap.partition(':')[0].replace('is silent', 'is back'))
+        if (key := _NUMBER.sub('', filled)) not in self._warned:
+            self._warned.add(key)
+            self._logger.info(filled)
 
     def _note_mounting(self, problem: str, stamp_s: float) -> None:
         """Warn of a camera that is not mounted as stated, if it lasts."""

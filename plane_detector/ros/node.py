@@ -6,10 +6,11 @@ from __future__ import annotations
 
 import sys
 
+from plane_detector import PAGES
 from plane_detector.dependencies import explained_imports
 from plane_detector.ending import quiet_interrupt
 
-USAGE = """\
+USAGE = f"""\
 usage: ros2 run plane_detector node [--ros-args [-r FROM:=TO] [-p NAME:=VALUE]
                                      [--params-file FILE] [--log-level LEVEL]]
 
@@ -20,7 +21,8 @@ Finds planes in the images of an ordinary camera.
 
 inputs       image (or image/compressed), camera_info, depth, imu, clicked_point
 outputs      ros2 topic list | grep plane_detector
-parameters   ros2 param describe /plane_detector depth.model; docs/parameters.md
+parameters   ros2 param describe /plane_detector depth.model
+pages        {PAGES}: topics.md, parameters.md, ...
 """
 
 

@@ -22,6 +22,7 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
+from plane_detector import PAGES
 from plane_detector.settings import Settings, parameters_of
 
 AnySettings = TypeVar('AnySettings', bound=Settings)
@@ -92,7 +93,7 @@ def no_such_parameter(unknown: Iterable[str], known: Iterable[str]) -> str:
     names = ', '.join(
         name + ''.join(f' (meant: {near}?)' for near in get_close_matches(name, known, 1))
         for name in unknown)
-    return f'no parameter has this name (see docs/parameters.md): {names}'
+    return f'no parameter has this name (see {PAGES}/parameters.md): {names}'
 
 
 def updated(settings: AnySettings, parameters: Iterable[Parameter]) -> AnySettings:

@@ -20,6 +20,7 @@ import cv2
 import numpy as np
 import yaml
 
+from plane_detector import PAGES
 from plane_detector.drawing import plane_colours
 from plane_detector.ending import run_program
 from plane_detector.mapping.map_file import SavedMap, read_map
@@ -299,7 +300,8 @@ def convex_pieces(rings: Sequence[np.ndarray]) -> list[np.ndarray]:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Export; return the exit code."""
     parser = argparse.ArgumentParser(prog='ros2 run plane_detector export',
-                                     description=__doc__.strip().splitlines()[0])
+                                     description=__doc__.strip().splitlines()[0],
+                                     epilog=f'More: {PAGES}/map.md')
     parser.add_argument('map', type=Path, metavar='FILE', help='of ~/map/save or replay --map')
     parser.add_argument('--floor-plan', type=Path, metavar='SVG')
     parser.add_argument('--geojson', type=Path, metavar='JSON')

@@ -8,6 +8,7 @@ import argparse
 import sys
 from collections.abc import Sequence
 
+from plane_detector import PAGES
 from plane_detector.dependencies import explained_imports
 from plane_detector.ending import quiet_interrupt
 
@@ -33,7 +34,8 @@ def table(networks: Sequence[Network], cache_dir: str) -> str:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Download the named networks; exit code 1 if one is not available."""
-    parser = argparse.ArgumentParser(prog='ros2 run plane_detector fetch', description=__doc__)
+    parser = argparse.ArgumentParser(prog='ros2 run plane_detector fetch', description=__doc__,
+                                     epilog=f'More: {PAGES}/networks.md')
     parser.add_argument('names', nargs='*', metavar='NAME',
                         help='network, or auto for the one that depth.model auto would use now')
     parser.add_argument('--cache-dir', default='', help='as depth.cache_dir')

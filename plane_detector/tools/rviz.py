@@ -16,6 +16,7 @@ import sys
 import tempfile
 from pathlib import Path
 
+from plane_detector import PAGES
 from plane_detector.dependencies import explained_imports
 from plane_detector.ending import INTERRUPTED, quiet_interrupt
 
@@ -63,7 +64,8 @@ def find_config() -> Path:
 def main(args: list[str] | None = None) -> int:
     """Wait for the camera and start RViz in this process; return an exit code without RViz."""
     parser = argparse.ArgumentParser(prog='ros2 run plane_detector rviz',
-                                     description=__doc__.strip().splitlines()[0])
+                                     description=__doc__.strip().splitlines()[0],
+                                     epilog=f'More: {PAGES}/recipes.md')
     parser.add_argument('--frame', default='', help='fixed frame (default: that of the camera)')
     parser.add_argument('--node', default='plane_detector', help='name of the detector')
     parser.add_argument('--timeout', type=float, default=60.0, metavar='S',

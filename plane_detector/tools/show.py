@@ -16,6 +16,7 @@ import sys
 from collections.abc import Iterable, Mapping
 from typing import TextIO
 
+from plane_detector import PAGES
 from plane_detector.dependencies import explained_imports
 from plane_detector.ending import quiet_interrupt
 
@@ -144,7 +145,8 @@ def main(args: list[str] | None = None) -> int:
     """Print until Ctrl-C; return the exit code."""
     arguments = sys.argv[1:] if args is None else args
     parser = argparse.ArgumentParser(prog='ros2 run plane_detector show',
-                                     description=__doc__.strip().splitlines()[0])
+                                     description=__doc__.strip().splitlines()[0],
+                                     epilog=f'More: {PAGES}/topics.md')
     parser.add_argument('--node', default='/plane_detector', metavar='NAME',
                         help='of the detector, with its namespace (default: %(default)s)')
     parser.add_argument('--once', action='store_true', help='end after the first table')

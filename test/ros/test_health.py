@@ -87,7 +87,7 @@ def test_silent_drops_are_logged_once_though_their_numbers_vary():
     for height_m in (6.0, 6.01, 5.99):
         health.note(detection((4, 3), note=f'a level surface {height_m:.2f} m below'), (DROPS,))
         assert health.status(Report(3, 0, 0, 1.0), '')[0] == DiagnosticStatus.WARN
-    assert lines == ['~/drops is silent: a level surface 6.00 m below']
+    assert lines == ['~/drops is silent: a level surface 5.99 m below']
 
 
 def test_each_gap_is_logged_once_and_cleared_when_it_ends():
@@ -99,12 +99,26 @@ def test_each_gap_is_logged_once_and_cleared_when_it_ends():
         assert level == DiagnosticStatus.WARN
         assert 'gravity' in message
     assert len(lines) == 1
-    health.note(detection((1, 3)), ())
+    health.note(detection((1, 3), probability=0.934), ())
     assert health.status(Report(4, 0, 0, 1.0), '') == (DiagnosticStatus.OK, 'active')
-    assert lines[1:] == ['no longer: planes have no class']
-    for found in (detection((0, 0)), detection((1, 3))):
+    assert lines[1:] == ['gravity found in the image, probability 0.93']
+    for found in (detection((0, 0)), detection((1, 3), probability=0.95)):
         health.note(found, ())
     assert len(lines) == 2
+
+
+def test_a_gap_of_the_first_images_is_no_warning_but_what_ended_it_is_said():
+    warnings, lines = [], []
+    health = Health(SimpleNamespace(warning=warnings.append, info=lines.append))
+    for found in (detection((0, 0)), detection((0, 0)), detection((1, 3), probability=0.95),
+                  *[detection((1, 3), note='no floor is seen')] * 2, detection((1, 3))):
+        health.note(found, (DROPS,))
+    assert not warnings
+    assert lines == ['gravity found in the image, probability 0.95']
+    for found in (*[detection((1, 3), note='no floor is seen')] * 3, detection((1, 3))):
+        health.note(found, (DROPS,))
+    assert warnings == ['~/drops is silent: no floor is seen']
+    assert lines[1:] == ['~/drops is back']
 
 
 def test_the_facts_are_those_of_the_last_frame(monkeypatch):

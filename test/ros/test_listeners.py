@@ -67,6 +67,23 @@ def test_python_joins_planes_to_points(listener, capsys):
     node.destroy_node()
 
 
+def test_ctrl_c_ends_the_examples_quietly(listener, monkeypatch, capsys):
+    def interrupted(node):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(rclpy, 'init', lambda: None)
+    monkeypatch.setattr(rclpy, 'spin', interrupted)
+    listener['main']()
+    for name, words in (('moveit_msgs', ModuleType('moveit_msgs')),
+                        ('moveit_msgs.msg', SimpleNamespace(PlanningScene=MoveitMessage,
+                                                            CollisionObject=MoveitMessage))):
+        monkeypatch.setitem(sys.modules, name, words)
+    monkeypatch.setattr(rclpy, 'create_node', lambda name: SimpleNamespace(
+        create_publisher=lambda *args: None, create_subscription=lambda *args: None))
+    runpy.run_path(str(EXAMPLES / 'tables_to_moveit.py'))['main']()
+    assert capsys.readouterr() == ('', '')
+
+
 def test_both_know_all_classes(listener):
     assert list(listener['CLASSES']) == NAMES
     source = (EXAMPLES / 'plane_listener.cpp').read_text('utf-8')

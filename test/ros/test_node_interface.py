@@ -207,7 +207,8 @@ def test_every_parameter_of_an_argument_exists(launched, file):
     names = {name for part in (Config(), NodeConfig()) for name, _, _ in parameters_of(part)}
     texts = dict.fromkeys(file['ARGUMENTS'], 'true') | {
         'params_file': '', 'camera': '', 'max_side': '640', 'camera_height': '1.2',
-        'network_threads': '2', 'gravity': '0 1 0'} | {name: file['CHOICES'][name][1] for name in CHOSEN}
+        'network_threads': '2', 'gravity': '0 1 0'} | {
+            name: file['CHOICES'][name][1] for name in CHOSEN}
     node, _ = launched(**texts)
     assert set(node['parameters'][1]) <= names | {'use_sim_time'}
     assert len(node['parameters'][1]) == len(file['OVERRIDES']) + 1

@@ -15,7 +15,7 @@ from plane_detector.geometry.disparity import to_disparity
 from plane_detector.pipeline import segment_planes
 from plane_detector.segmentation.cells.noise_correlation import LEAST_ERROR_M
 from plane_detector.segmentation.segment import metric_noise_floor, segment
-from plane_detector.tools.demo.photographs import library_images
+from plane_detector.tools.demo.photographs import workshop
 
 WALL = single_wall()
 
@@ -167,7 +167,7 @@ def test_a_door_that_is_not_yet_apart_is_no_noise():
 
 def test_what_is_not_yet_apart_is_no_noise():
     pytest.importorskip('skimage', reason='scikit-image holds the motorcycle')
-    (image,) = library_images(only_measured=True)
+    image = workshop()
     found = segment_planes(image.true_depth_m, image.intrinsics)
     assert found.systematic_noise == 0
     assert found.disparity_noise < 0.002  # .0032 joined tank, seat and shelves to what is behind

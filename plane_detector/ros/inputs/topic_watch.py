@@ -32,7 +32,10 @@ _RAW_TYPE, _COMPRESSED_TYPE = 'sensor_msgs/msg/Image', 'sensor_msgs/msg/Compress
 # By role: the parameter of the transport, and its value for compressed messages.
 _TRANSPORTS = {'image': ('image_transport', 'compressed'),
                'depth': ('depth.transport', 'compressedDepth')}
-MESSAGES_LOST = 'messages get lost between processes without config/fastdds_large_messages.xml'
+MESSAGES_LOST = (
+    'messages of Fast DDS get lost between processes unless the camera, too, was started with '
+    'export FASTRTPS_DEFAULT_PROFILES_FILE=$(ros2 pkg prefix --share plane_detector)/config/'
+    'fastdds_large_messages.xml')
 
 
 @dataclass
@@ -147,7 +150,9 @@ def explain_silence(role: str, topic: str, type_name: str, offered: Sequence[str
     same = _nearest_first(topic, [name for name, kind in published.items()
                                   if kind == type_name and _fits(role, name, kind)])
     if not same:
-        return (f'nobody publishes {topic}, nor any other topic of type {type_name} for {role}'
+        by_name = {'depth': ' with depth in its name', 'image': ' without depth in its name'}
+        return (f'nobody publishes {topic}, nor any other topic of type {type_name}'
+                + by_name.get(role, '')
                 + _other_transport(role, topic, type_name, published))
     listed = ', '.join(same[:_LISTED]) + (', ...' if len(same) > _LISTED else '')
     return (f'nobody publishes {topic}; of type {type_name} there are {listed}: remap with '

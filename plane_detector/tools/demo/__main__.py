@@ -3,9 +3,8 @@
 """
 Demo: sends photographs to the node over its topics, and draws the planes that it publishes.
 
-Without --images it uses two photographs that are included in libraries: first a workshop with the
-depth of a stereo camera, as with a depth camera; then the same and a temple outdoors through a
-depth network.
+Without --images it uses a photograph that is included in scikit-image, a workshop: first with the
+depth of a stereo camera, as with a depth camera, then through a depth network.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from plane_detector.dependencies import explained_imports
+from plane_detector.dependencies import explained_imports, explanation
 from plane_detector.ending import quiet_interrupt, run_program, until_signal
 
 with quiet_interrupt(), explained_imports('numba', 'scipy'):
@@ -31,12 +30,17 @@ with quiet_interrupt(), explained_imports('numba', 'scipy'):
     from plane_detector.tools.demo.photographs import (
         Lens,
         Photograph,
-        folder_images,
-        library_images,
+        own_images,
+        workshop,
     )
     from plane_detector.tools.demo.session import Received, Session
     from plane_detector.tools.files import csv_row, depth_panel, write_ply
     from plane_detector.tools.show import table_lines
+
+_FASTDEPTH_IS = 'for floors and large walls of rooms'
+# The files of the last run, which the next one replaces.
+_WRITTEN = '.written_by_the_demo'
+
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the demo; return the exit code."""
@@ -47,30 +51,54 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _run(options: argparse.Namespace) -> int:
     lens = Lens(options.fx, options.fy, options.cx, options.cy, options.fov)
     if options.images and options.without_network:
-        raise ValueError('images of a folder have no measured depth: they need the network')
+        raise ValueError('your own images have no measured depth: they need the network')
     if lens != Lens() and not options.images:
-        raise ValueError('a calibration or a field of view is for your own images: name their '
-                         'folder by --images (make demo IMAGES=...)')
+        raise ValueError('a calibration or a field of view is for your own images: name one '
+                         'or their folder by --images (make demo IMAGES=...)')
     if options.model not in ('auto', *NETWORKS):
         if not Path(options.model).expanduser().is_file():
             raise FileNotFoundError(f'--model {options.model} is neither a file nor one of auto, '
                                     f'{", ".join(NETWORKS)}')
         if not options.model_output:
             raise ValueError('--model-output must state the output of a network file')
-    photographs = (folder_images(options.images, lens) if options.images
-                   else library_images(only_measured=options.without_network))
+    photographs = own_images(options.images, lens) if options.images else [workshop()]
     options.output.mkdir(parents=True, exist_ok=True)
+    _remove_earlier(options.output)
     measured = [one for one in photographs if one.true_depth_m is not None]
     if measured:
         print('With measured depth, as from a depth camera:')
-        _show(measured, {'depth.source': 'topic'}, 'measured depth', '_depth_topic',
+        _show(measured, {'depth.source': 'topic'}, 'measured depth', '_measured_depth',
               options.output)
+        _write_bag(options.output / 'example_bag', measured[0])
     if not options.without_network:
         network = _network(options)
-        _show(photographs, network, f'depth from {Path(network["depth.model"]).stem}', '',
-              options.output)
+        name = Path(network['depth.model']).stem
+        _show(photographs, network, f'depth from {name}', f'_{name}', options.output)
     print(f'\nThe images are in {options.output}/')
     return 0
+
+
+def _write_bag(folder: Path, photograph: Photograph) -> None:
+    """Write a bag for the tutorial, unless it is there or what writes bags is not installed."""
+    if folder.exists():
+        return
+    try:
+        from plane_detector.tools.demo.example_bag import write_example_bag
+    except ModuleNotFoundError as error:
+        if error.name != 'rosbags':
+            raise
+        print(f'\nNo bag for the tutorial: {explanation(error)}')
+        return
+    write_example_bag(folder, photograph)
+    print(f'\n{folder}: the same as a bag of a depth camera, for docs/tutorial.md')
+
+
+def _remove_earlier(folder: Path) -> None:
+    """Remove what an earlier run wrote into the folder, and nothing else."""
+    listed = folder / _WRITTEN
+    for name in listed.read_text('utf-8').splitlines() if listed.is_file() else ():
+        (folder / Path(name).name).unlink(missing_ok=True)
+    listed.unlink(missing_ok=True)
 
 
 def _network(options: argparse.Namespace) -> dict[str, str]:
@@ -81,8 +109,8 @@ def _network(options: argparse.Namespace) -> dict[str, str]:
     network, path, reason, _ = resolve(DepthConfig(model=options.model))
     print(f'\nThrough a depth network: {reason}.\n  {path}\n  {network.output}, {network.summary}')
     if network.name == 'fastdepth':
-        print('  It is the smallest one and knows little but floors and large walls indoors. Most '
-              'planes below\n  are wrong; better networks: ros2 run plane_detector fetch.')
+        print(f'  It is the smallest one, {_FASTDEPTH_IS}; its metres are coarse.\n  Better networks: '
+              'ros2 run plane_detector fetch.')
     return {'depth.model': network.name}
 
 
@@ -103,6 +131,8 @@ def _show_one(session: Session, photograph: Photograph, depth_title: str, suffix
     figure = _figure(photograph, depth_title, received)
     cv2.imwrite(str(paths[0]), cv2.cvtColor(figure, cv2.COLOR_RGB2BGR))
     _write_tables(paths[1], paths[2], photograph, received)
+    with open(folder / _WRITTEN, 'a', encoding='utf-8') as file:
+        file.writelines(f'{path.name}\n' for path in paths)
     _print(name, photograph, received)
     print('  ' + ', '.join(map(str, paths)))
 
@@ -130,18 +160,18 @@ def _print(name: str, photograph: Photograph, received: Received) -> None:
         print('  (lengths in an unknown unit)')
     print(f'  {received.frame_ms:.0f} ms from the image to the planes, all through the topics of '
           'one process')
-    if photograph.remark:
-        print(f'  {photograph.remark}')
 
 
 def _figure(photograph: Photograph, depth_title: str, received: Received) -> np.ndarray:
     """Return image, depth, planes of RANSAC alone, and planes by class."""
     planes, rgb, classes = received.planes, photograph.rgb, _legend(received.planes)
     alone = ransac_alone(received.depth_m) + 1
+    limits = f'; fastdepth is {_FASTDEPTH_IS}' if depth_title.endswith('fastdepth') else ''
     return drawing.figure([
-        ('image', rgb),
+        (f'image{limits}', rgb),
         depth_panel(depth_title, received.depth_m, received.unit),
-        (f'RANSAC alone: {len(np.unique(alone[alone > 0]))} planes', drawing.overlay(rgb, alone)),
+        (f'RANSAC alone: {len(np.unique(alone[alone > 0]))} planes, a colour for each',
+         drawing.overlay(rgb, alone)),
         (f'{len(planes)} planes{f": {classes}" if classes else ""}',
          drawing.overlay(rgb, received.points['label'], _colours(planes))),
     ])
@@ -162,7 +192,7 @@ def _legend(planes: np.ndarray) -> str:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument('--images', type=Path, help='folder of your own images')
+    parser.add_argument('--images', type=Path, help='your own image, or a folder of images')
     for name in ('fx', 'fy', 'cx', 'cy'):
         parser.add_argument(f'--{name}', type=float, help='calibration of these images, pixels')
     parser.add_argument('--fov', type=float,

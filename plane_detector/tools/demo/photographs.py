@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from importlib.util import find_spec
 from pathlib import Path
 
 import cv2
@@ -67,31 +66,26 @@ class Photograph:
     intrinsics: CameraIntrinsics
     calibration: str  # readable source of the intrinsics
     true_depth_m: np.ndarray | None = None  # (H, W) float32 or None; NaN where unknown
-    remark: str = ''  # facts needed to judge the result
 
 
-def library_images(only_measured: bool = False) -> list[Photograph]:
-    """Return the photograph with depth in scikit-image and, if it is installed, scikit-learn's."""
-    return [_motorcycle(), *([_temple()] if find_spec('sklearn') and not only_measured else [])]
-
-
-def folder_images(folder: Path, lens: Lens) -> list[Photograph]:
+def own_images(source: Path, lens: Lens) -> list[Photograph]:
     """
-    Return the images of a folder, reduced to `_LONGEST_SIDE_PX` if they are larger.
+    Return an image, or those of a folder, reduced to `_LONGEST_SIDE_PX` if they are larger.
 
     Raises
     ------
     FileNotFoundError
-        The folder does not exist, or contains no image.
+        There is no such file or folder, or no image in the folder.
     ValueError
         An image cannot be read.
 
     """
-    if not folder.is_dir():
-        raise FileNotFoundError(f'there is no folder {folder}')
-    paths = sorted(path for path in folder.iterdir() if path.suffix.lower() in _SUFFIXES)
+    if not source.exists():
+        raise FileNotFoundError(f'there is no image or folder {source}')
+    paths = [source] if source.is_file() else sorted(
+        path for path in source.iterdir() if path.suffix.lower() in _SUFFIXES)
     if not paths:
-        raise FileNotFoundError(f'no image in {folder}: looked for *{", *".join(_SUFFIXES)}')
+        raise FileNotFoundError(f'no image in {source}: looked for *{", *".join(_SUFFIXES)}')
     stems = [path.stem for path in paths]
     return [_photograph(path, path.stem if stems.count(path.stem) == 1 else path.name, lens)
             for path in paths]
@@ -109,19 +103,9 @@ def _photograph(path: Path, name: str, lens: Lens) -> Photograph:
         f'{lens}{"" if reduction.is_none else f", shrunk from {width} x {height}"}')
 
 
-def _temple() -> Photograph:
-    """Return the temple behind trees, outdoors; from Flickr, taken with an unknown camera."""
-    from sklearn.datasets import load_sample_image
-    rgb = np.ascontiguousarray(load_sample_image('china.jpg'))
-    lens = Lens()
-    return Photograph('china', rgb, lens.intrinsics(rgb.shape[1], rgb.shape[0]), str(lens),
-                      remark='Outdoors, unlike the training images of indoor networks: planes on '
-                      'the lake and the\n  trees mean nothing, and metres are wrong.')
-
-
-def _motorcycle() -> Photograph:
+def workshop() -> Photograph:
     """
-    Return the motorcycle in a workshop, with true disparity and calibration.
+    Return a motorcycle in a workshop, of scikit-image, with true disparity and calibration.
 
     Middlebury 2014 stereo, Scharstein et al.: z = fx * baseline / (disparity + doffs).
     """
@@ -136,4 +120,4 @@ def _motorcycle() -> Photograph:
     depth_m = np.where(known, fx_px * baseline_m / (disparity_px + doffs_px), np.nan)
     intrinsics = CameraIntrinsics(fx_px, fx_px, 311.193, 254.877, rgb.shape[1], rgb.shape[0])
     return Photograph('stereo_motorcycle', np.ascontiguousarray(rgb), intrinsics,
-                      'calibrated, true depth from stereo', depth_m.astype(np.float32))
+                      'calibrated', depth_m.astype(np.float32))

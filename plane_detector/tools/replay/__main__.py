@@ -10,6 +10,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from plane_detector import PAGES
 from plane_detector.dependencies import explained_imports
 from plane_detector.ending import (
     FAILED,
@@ -43,11 +44,13 @@ USAGE = """
   replay [options] INPUT [OUTPUT]                       one bag (default: INPUT_planes, here)
   replay [options] INPUT INPUT... FOLDER                many bags into a folder
   replay [options] --output-folder FOLDER INPUT...      the same"""
-EXIT_CODES = """
+EXIT_CODES = f"""
 exit codes: 0 finished; 1 failed, or one of many bags failed; 2 wrong arguments; 3 finished, but
 frames or damaged messages were skipped, or images between the first and the last frame had no
 calibration or depth; 130 ended by a signal; 128 + its number: at once, because
 this took too long or another signal came.
+
+More: {PAGES}/replay.md
 """
 _INCOMPLETE = 3
 

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from data_files import read_ply
 
-from plane_detector.tools.demo.photographs import Lens, folder_images, library_images
+from plane_detector.tools.demo.photographs import Lens, own_images, workshop
 from plane_detector.tools.files import write_ply
 from plane_detector.types import CameraIntrinsics
 
@@ -25,8 +25,7 @@ ROOT = Path(__file__).resolve().parents[3]
 @pytest.fixture(scope='module')
 def motorcycle():
     pytest.importorskip('skimage', reason='scikit-image holds the motorcycle')
-    (photograph,) = library_images(only_measured=True)
-    return photograph
+    return workshop()
 
 
 @pytest.mark.parametrize('wrong', [
@@ -37,17 +36,19 @@ def test_contradictory_lens_is_refused(wrong):
         Lens(**wrong)
 
 
-def test_folder_images_are_read_in_order_as_rgb(tmp_path):
+def test_own_images_are_read_in_order_as_rgb(tmp_path):
     for name, colour_bgr in (('b.png', (255, 0, 0)), ('a.jpg', (0, 0, 255))):
         cv2.imwrite(str(tmp_path / name), np.full((30, 40, 3), colour_bgr, np.uint8))
     (tmp_path / 'notes.txt').write_text('no image')
-    found = folder_images(tmp_path, Lens(fx=33.0))
+    found = own_images(tmp_path, Lens(fx=33.0))
     assert [photograph.name for photograph in found] == ['a', 'b']
     np.testing.assert_array_equal(found[1].rgb[0, 0], (0, 0, 255))
     assert found[0].rgb[0, 0, 0] > 250
     assert found[0].intrinsics == CameraIntrinsics(33, 33, 19.5, 14.5, 40, 30)
     for guess in (Lens(), Lens(field_of_view_deg=69.0)):
-        assert folder_images(tmp_path, guess)[0].intrinsics.is_guessed
+        assert own_images(tmp_path, guess)[0].intrinsics.is_guessed
+    alone, = own_images(tmp_path / 'b.png', Lens(fx=33.0))
+    np.testing.assert_array_equal(alone.rgb, found[1].rgb)
 
 
 def test_ply_holds_the_valid_points(tmp_path):
@@ -67,6 +68,11 @@ def test_ply_holds_the_valid_points(tmp_path):
 
 def test_demo_runs_the_node_over_dds(tmp_path, motorcycle):
     pytest.importorskip('rclpy')
+    messages_of = pytest.importorskip('bags', reason='rosbags is missing').messages_of
+    from sensor_msgs.msg import Image
+    for kept in ('china.png', 'of_mine.png'):
+        (tmp_path / kept).write_text('of an earlier run')
+    (tmp_path / '.written_by_the_demo').write_text('china.png\n')
     run = subprocess.run(
         [sys.executable, '-m', 'plane_detector.tools.demo', '--without-network', '--output',
          str(tmp_path)], cwd=ROOT, capture_output=True, text=True, timeout=900)
@@ -74,7 +80,18 @@ def test_demo_runs_the_node_over_dds(tmp_path, motorcycle):
     assert 'ms from the image to the planes' in run.stdout
     assert run.stdout.startswith('With measured depth, as from a depth camera:')
     assert ' floor ' in run.stdout
-    name = 'stereo_motorcycle_depth_topic'
+    name = 'stereo_motorcycle_measured_depth'
+    assert {path.name for path in tmp_path.iterdir()} == {
+        'of_mine.png', '.written_by_the_demo', f'{name}.png', f'{name}.ply', f'{name}.csv',
+        'example_bag'}
+    bag = tmp_path / 'example_bag'
+    assert sum(path.stat().st_size for path in bag.iterdir()) < 10e6
+    depth_mm = messages_of(bag, '/camera/camera/aligned_depth_to_color/image_raw', Image)
+    assert len(depth_mm) == 6 and depth_mm[0].encoding == '16UC1'
+    seen = np.frombuffer(depth_mm[0].data, np.uint16).reshape(motorcycle.true_depth_m.shape)
+    known = np.isfinite(motorcycle.true_depth_m)
+    assert abs(seen[known] / 1000 - motorcycle.true_depth_m[known]).max() < 0.001
+    assert not seen[~known].any()
     rgb = motorcycle.rgb
     figure = cv2.imread(str(tmp_path / f'{name}.png'))
     assert figure.shape[0] > 2 * rgb.shape[0]
@@ -101,13 +118,10 @@ def test_demo_is_quiet_when_it_is_ended(tmp_path):
     assert 'Traceback' not in printed
 
 
-def test_photographs_without_scikit_learn(monkeypatch, motorcycle):
-    monkeypatch.setitem(sys.modules, 'sklearn', None)
-    assert [one.name for one in library_images()] == [motorcycle.name]
-
-
 @pytest.mark.parametrize(('arguments', 'reason'), [
-    (['--images', '.'], 'demo: no image in'), (['--fx', '525'], 'demo: a calibration'),
+    (['--images', '.'], 'demo: no image in'),
+    (['--images', 'one.jpg'], 'demo: there is no image or folder one.jpg'),
+    (['--fx', '525'], 'demo: a calibration'),
     (['--model', 'nowhere.onnx'], 'demo: --model nowhere.onnx is neither a file nor one of '),
     (['--model', __file__], 'demo: --model-output must state the output of a network file')])
 def test_demo_reports_wrong_arguments(tmp_path, monkeypatch, capsys, arguments, reason):
