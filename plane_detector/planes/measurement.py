@@ -49,7 +49,7 @@ MAX_NOISE_SHARE = 0.125
 MIN_CELLS_A_SIDE = 5
 # Normals with a smaller standard deviation count as exact.
 MIN_TILT_RAD = 1e-4
-# tuned: fitted to rendered rooms by `benchmark confidence` of 79cdaef, checked on others.
+# tuned: fitted to rendered rooms by `benchmark confidence` of 98cc53d, checked on others.
 CONFIDENCE_WEIGHTS = (1.19, 0.43, -0.56)
 # Of measured depth, the rms in excess of so many times that of the noise, divided by the root of
 # the area, at which the confidence is half: leaves or people are no plane.

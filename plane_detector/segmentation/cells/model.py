@@ -22,7 +22,7 @@ from plane_detector.segmentation.cells.plane_fit import N, add_moments, fit_plan
 (MEAN_X, MEAN_Y, MEAN_D, SLOPE_X, SLOPE_Y, MEAN_WEIGHT, SLOPE_WEIGHT, SQUARED_ERROR,
  LOCAL_RATIO) = range(9)
 # A cell whose pixels deviate from its own plane by more than two sigma straddles an edge.
-# tuned: benchmark sensitivity; flat to 1.4 times; at 0.7 times recall -0.011.
+# tuned: benchmark sensitivity of bb08c3e; flat to 1.4 times; at 0.7 times recall -0.011.
 MAX_PIXEL_VARIANCES = 4.0
 # What lies within so many standard deviations of a plane is an inlier.
 # chosen: one normal deviate in 370 is larger.

@@ -101,7 +101,7 @@ class OnePlane(NamedTuple):
 
 
 # Largest mean square of the cells of a bulge about the plane, in variances: 3.5 deviations.
-# tuned: benchmark sensitivity; flat to 1.4 times; at 0.7 times precision -0.123.
+# tuned: benchmark sensitivity of bb08c3e; flat to 1.4 times; at 0.7 times precision -0.123.
 MAX_BULGE_VARIANCES = 3.5**2
 # Largest ratio of the error of a joint quadric to that of the own plane, in each region of a wall.
 # tuned: 14 real frames through FastDepth, SC with the planes of the sensor's depth; flat to 1.4
