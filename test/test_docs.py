@@ -5,10 +5,13 @@
 import importlib
 import importlib.util
 import re
+import subprocess
 from dataclasses import fields
 
 import pytest
 from documents import PAGES, README, ROOT, blocks, commands, text_of, uses
+
+from plane_detector import PAGES as PAGES_PLACE
 
 LINES = README.read_text(encoding='utf-8').splitlines()
 MOST_README_LINES = 150
@@ -69,7 +72,7 @@ def test_modules_that_are_started_exist():
 
 def test_launch_file_and_its_arguments_exist():
     text = (ROOT / 'launch' / 'plane_detector.launch.py').read_text('utf-8')
-    arguments_of_file = re.findall(r"^    '(\w+)': \(", text, re.MULTILINE)
+    arguments_of_file = ['cameras', *re.findall(r"^    '(\w+)': \(", text, re.MULTILINE)]
     used = uses('ros2', 'launch', 'plane_detector')
     assert used
     for page, (name, *arguments) in used:
@@ -96,6 +99,32 @@ def test_parameters_that_are_named_exist():
         for name in re.findall(r'`([a-z_]+\.[a-z_]+)(?::[^`]*)?`', text_of(page)):
             if name.split('.')[0] in groups and not name.endswith(('.py', '.md')):
                 assert name in known, f'{page.name}: {name}'
+
+
+def test_commits_that_are_named_are_in_the_history():
+    def git(*words):
+        return subprocess.run(['git', '-C', str(ROOT), *words], capture_output=True, text=True,
+                              check=False)
+
+    if git('rev-parse', '--is-shallow-repository').stdout.strip() != 'false':
+        pytest.skip('not in a clone with its history')
+    sources = sorted((ROOT / 'plane_detector').rglob('*.py'))
+    # Frames of the kitchen are called f000150.
+    named = {(page.name, commit) for page in (*PAGES, *sources)
+             for commit in re.findall(r'\b(?!f\d{6})(?=\d*[a-f])[0-9a-f]{7}\b', text_of(page))}
+    assert len(named) > 50
+    known = set(git('log', '--format=%h', '--abbrev=7').stdout.split())
+    assert {(name, commit) for name, commit in named if commit not in known} == set()
+
+
+def test_pages_that_messages_name_are_installed():
+    setup = text_of(ROOT / 'setup.py')
+    assert "(f'share/{NAME}/docs', sorted(glob('docs/*.md')))" in setup
+    assert PAGES_PLACE.endswith('--share plane_detector)/docs')
+    named = {page for path in (ROOT / 'plane_detector').rglob('*.py')
+             for page in re.findall(r'\{PAGES\}/([\w.]+)', text_of(path))}
+    assert {'topics.md', 'parameters.md'} <= named
+    assert named <= {page.name for page in PAGES}
 
 
 def rows_of(text: str, method: str) -> list[list[str]]:

@@ -78,7 +78,7 @@ def main():
                           orientation=Quaternion(x=x, y=y, z=z, w=w)),
                 primitives=[SolidPrimitive(type=SolidPrimitive.BOX, dimensions=sides)],
                 primitive_poses=[Pose()]))
-        for name in known - boxes.keys():
+        for name in sorted(known - boxes.keys()):
             change.world.collision_objects.append(CollisionObject(
                 header=msg.header, id=name, operation=CollisionObject.REMOVE))
         known.clear()

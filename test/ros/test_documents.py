@@ -6,7 +6,7 @@ import importlib
 import re
 
 import pytest
-from documents import README, ROOT, text_of, uses
+from documents import README, ROOT, commands, text_of, uses
 from ros_helpers import bare_node
 
 from plane_detector.config import Config, NodeConfig
@@ -14,6 +14,7 @@ from plane_detector.planes.plane_table import documented
 from plane_detector.ros.outputs.clouds import CORNER_DTYPE, SHAPE_DTYPE
 from plane_detector.ros.outputs.topics import OUTPUTS
 from plane_detector.ros.parameters import declare
+from plane_detector.settings import parameters_of
 
 TOPICS = ROOT / 'docs' / 'topics.md'
 
@@ -34,6 +35,26 @@ def test_every_field_of_planes_and_shapes_is_in_the_tables():
         assert re.search(rf'^\|[^|]*`{field}`', text, re.MULTILINE), field
 
 
+def test_every_key_of_the_diagnostics_is_in_the_table():
+    section = text_of(TOPICS).split('### Diagnostics')[1].split('\n### ')[0]
+    folder = ROOT / 'plane_detector' / 'ros'
+    keys = {key for path in folder.glob('*.py')
+            for key in re.findall(r"(?:facts|values)\['(\w+)'\]|'(map_\w+)': ", text_of(path))}
+    names = {name for pair in keys for name in pair if name}
+    assert {'drops', 'mounting', 'map_planes', 'images_received'} <= names
+    assert {name for name in names if f'`{name}`' not in section} == set()
+
+
+def test_parameters_that_are_given_in_commands_exist():
+    known = {name for part in (Config(), NodeConfig()) for name, _, _ in parameters_of(part)}
+    given = [(page, words[k + 1].split(':=')[0]) for page, words in commands()
+             for k, word in enumerate(words[:-1])
+             if word == '-p' and ':=' in words[k + 1] and 'plane_detector' in ' '.join(words)]
+    assert len(given) > 4
+    for page, name in given:
+        assert name in known, f'{page}: {name}'
+
+
 def test_node_takes_the_yaml_file_as_its_defaults():
     path = ROOT / 'config' / 'plane_detector.yaml'
     with bare_node('plane_detector', ('--params-file', str(path))) as node:
@@ -41,7 +62,7 @@ def test_node_takes_the_yaml_file_as_its_defaults():
         assert declare(node, NodeConfig()) == NodeConfig()
 
 
-@pytest.mark.parametrize('program', ['replay', 'show', 'fetch', 'rviz'])
+@pytest.mark.parametrize('program', ['replay', 'show', 'fetch', 'rviz', 'export', 'demo'])
 def test_options_of_programs_are_in_their_help(program, capsys):
     """Of each command of the documents: as ros2 run and as python -m start them."""
     entry = re.search(rf"f'{program} = {{NAME}}\.([\w.]+):main'", text_of(ROOT / 'setup.py'))[1]
@@ -51,6 +72,9 @@ def test_options_of_programs_are_in_their_help(program, capsys):
     explained = capsys.readouterr().out
     module = f'plane_detector.{entry}'.removesuffix('.__main__')
     used = uses('ros2', 'run', 'plane_detector', program) + uses('-m', module)
+    if program == 'demo':  # make hands its variables over as options
+        used += [(page, [f'--{word.split("=")[0].lower()}' for word in words if '=' in word])
+                 for page, words in uses('make', 'demo')]
     assert used
     for page, words in used:
         for option in (word.split('=')[0] for word in words if word.startswith('-')):

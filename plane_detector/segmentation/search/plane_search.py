@@ -48,7 +48,8 @@ from plane_detector.segmentation.cells.noise_correlation import (
 from plane_detector.segmentation.search.ransac import MAX_TRIALS, add_planes, no_planes
 
 # Too high a start hides planes; too low a start is corrected from the planes.
-# tuned: benchmark sensitivity of bb08c3e; 1.0 doubles the labelled share of curved surfaces at 0.01.
+# tuned: benchmark sensitivity of bb08c3e; 1.0 doubles the labelled share of curved surfaces at
+# 0.01.
 START_SHARE = 0.7
 # The largest planes reveal noise that is smooth over more than neighbouring cells.
 # tuned: benchmark sensitivity of bb08c3e; flat from 0.7 to 1.4 times.

@@ -109,8 +109,8 @@ def _network(options: argparse.Namespace) -> dict[str, str]:
     network, path, reason, _ = resolve(DepthConfig(model=options.model))
     print(f'\nThrough a depth network: {reason}.\n  {path}\n  {network.output}, {network.summary}')
     if network.name == 'fastdepth':
-        print(f'  It is the smallest one, {_FASTDEPTH_IS}; its metres are coarse.\n  Better networks: '
-              'ros2 run plane_detector fetch.')
+        print(f'  It is the smallest one, {_FASTDEPTH_IS}; its metres are coarse.\n'
+              '  Better networks: ros2 run plane_detector fetch.')
     return {'depth.model': network.name}
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from builtin_interfaces.msg import Time
+from rclpy.time import Time
 from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import Header
 
@@ -34,7 +34,7 @@ def write_example_bag(target: Path, photograph: Photograph) -> None:
             bag.add_outputs({f'{COLOUR}/image_raw': Image, f'{COLOUR}/camera_info': CameraInfo,
                              DEPTH: Image})
             for time_ns in range(START_NS, START_NS + IMAGES * PERIOD_NS, PERIOD_NS):
-                header = Header(stamp=Time(sec=time_ns // 10**9, nanosec=time_ns % 10**9),
+                header = Header(stamp=Time(nanoseconds=time_ns).to_msg(),
                                 frame_id='camera_color_optical_frame')
                 for topic, msg in (
                         (f'{COLOUR}/camera_info',
