@@ -30,7 +30,7 @@ def jobs():
 
 
 def test_workflows_start_by_themselves_and_may_only_read_the_repository():
-    assert len(WORKFLOWS) == 3
+    assert len(WORKFLOWS) == 4
     for path in WORKFLOWS:
         workflow = yaml.safe_load(path.read_text())
         assert 'push' in workflow[True]  # YAML 1.1 reads the key `on` as true
