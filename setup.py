@@ -32,7 +32,7 @@ setup(
     # Depth networks need one of cpu and gpu, whose packages share a module. Loading a network can
     # be stopped from 1.22 on.
     extras_require={
-        'benchmark': ['matplotlib', 'pyransac3d'],
+        'benchmark': ['matplotlib', 'pillow', 'pyransac3d'],
         'cpu': ['onnxruntime>=1.22'],
         'dask': ['dask[distributed]'],
         'demo': ['scikit-image'],

@@ -39,7 +39,7 @@ ROSDEP_KEYS = {
     'tf2_ros': 'tf2_ros_py', 'threadpoolctl': 'python3-sklearn',  # which depends on it
     'tqdm': 'python3-tqdm', 'yaml': 'python3-yaml'}
 # Not in rosdep; imported only where they are used, with an error that says what to install.
-EXTRAS = {'dask', 'matplotlib', 'onnx', 'pyransac3d', 'ray', 'skimage', 'torch',
+EXTRAS = {'PIL', 'dask', 'matplotlib', 'onnx', 'pyransac3d', 'ray', 'skimage', 'torch',
           'transformers', 'vision_msgs'}
 
 
