@@ -211,7 +211,7 @@ def _own_kernels(subjects: set[str]) -> list[Kernel]:
 
 
 def compile_kernels(subjects: Iterable[str], log: Callable[[str], None] = lambda text: None,
-                    what: str = 'the loops') -> None:
+                    what: str = 'the kernels') -> None:
     """
     Compile kernels, or load those that no other one calls, so that the first frame is not delayed.
 
@@ -303,7 +303,7 @@ def _compile_in_processes(kernels: list[Kernel], log: Callable[[str], None]) -> 
                 raise_if_stopped()
                 if time.monotonic() - logged_s > LOG_PERIOD_S:
                     logged_s, done = time.monotonic(), [one for one in kernels if one.is_cached]
-                    log(f'compiled {len(done)} of {len(kernels)} loops')
+                    log(f'compiled {len(done)} of {len(kernels)} kernels')
                     for one in done:  # to load all of them at the end takes a second or two
                         one.compiled()
                 time.sleep(_CHECK_S)
@@ -369,7 +369,7 @@ def _keep_in_memory(error: OSError) -> None:
     if not _memory_only.is_set():
         _memory_only.set()
         logging.getLogger(__name__).warning(
-            '%s cannot be written (%s): the loops stay in memory and are compiled again at each '
+            '%s cannot be written (%s): the kernels stay in memory and are compiled again at each '
             'start', _home_folder(), error.strerror or error)
 
 
@@ -409,7 +409,7 @@ def cache_folder() -> Path:
                 return folder
     folder = Path(tempfile.mkdtemp(prefix='plane_detector-'))
     logging.getLogger(__name__).warning(
-        '%s belongs to another user or others may write to it: the loops are compiled again at '
+        '%s belongs to another user or others may write to it: the kernels are compiled again at '
         'each start', folders[-1])
     return folder
 

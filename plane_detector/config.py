@@ -26,7 +26,7 @@ class DepthConfig(Settings, section='depth'):
         'raw', 'raw: sensor_msgs/Image on depth; compressedDepth: sensor_msgs/CompressedImage on '
         'depth/compressedDepth', choices=('raw', 'compressedDepth'))
     unit: float = fixed_setting(
-        0.0, 'metres of one count of measured depth, such as 0.0001; 0: by the encoding, 16UC1 '
+        0.0, 'metres per raw unit of measured depth, such as 0.0001; 0: by the encoding, 16UC1 '
         'millimetres, 32FC1 metres', 'm', 0.0, 1.0)
     kind: str = setting(
         'z', 'what measured depth images hold: z: depth along the optical axis, as depth cameras '
@@ -282,7 +282,7 @@ class MapConfig(Settings, section='map'):
         'rotation, half as many radians', 'm', 0.0, 1.0)
     pose_drift: float = fixed_setting(
         0.01, 'standard deviation of the drift of the poses after one metre or radian; it grows '
-        'with the root of the way', '', 0.0, 1.0)
+        'with the square root of the distance travelled', '', 0.0, 1.0)
 
 
 SHAPE_TYPES = ('sphere', 'cylinder', 'cone')

@@ -77,7 +77,7 @@ def test_changes_in_other_files_are_compiled_and_code_not_used_for_a_month_is_re
         sample, folder):
     """Of files with the same size and time, which numba does not read for this kernel."""
     printed = sample(0, '+')
-    assert printed[0].startswith('compiling the loops for this machine')
+    assert printed[0].startswith('compiling the kernels for this machine')
     assert printed[-1] == '11.0'
     assert list(folder.glob('*/*/*picked*.nbc')) and not list(folder.glob('*/*/*halved*'))
     assert sample(1, '+')[-1] == '21.0'

@@ -59,7 +59,7 @@ def parameter_table() -> str:
     lines = ['| parameter | default | unit | range | meaning |', '|---|---|---|---|---|']
     for name, (meta, value) in _settings().items():
         cells = (f'`{name}`', f'`{_yaml(value)}`', meta['unit'], _range(meta),
-                 meta['doc'] + ('; read at configure' if meta['read_only'] else ''))
+                 meta['doc'] + ('; read when the node is configured' if meta['read_only'] else ''))
         lines.append('| ' + ' | '.join(cell.replace('|', '\\|') for cell in cells) + ' |')
     return '\n'.join(lines) + '\n'
 
@@ -90,7 +90,7 @@ def _settings() -> dict[str, tuple[Any, Any]]:
 
 def _description(meta: Any) -> str:
     notes = [f'in {meta["unit"]}' if meta['unit'] else '', _range(meta),
-             'read at configure' if meta['read_only'] else '']
+             'read when the node is configured' if meta['read_only'] else '']
     known = '; '.join(note for note in notes if note)
     return meta['doc'] + (f' ({known})' if known else '')
 

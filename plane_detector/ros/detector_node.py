@@ -261,7 +261,7 @@ class PlaneDetectorNode(LifecycleNode):
         facts = {'state': self.state, 'mode': self._live.settings.mode, **self._health.facts}
         self._warn_of_namesake()
         if self._live.late_kernels.is_loading:
-            facts['shapes'] = 'their loops are being compiled'
+            facts['shapes'] = 'their kernels are being compiled'
         if self._processor is not None:
             facts.update(self._processor.detector.source.facts)
             facts['advice'] = large_image(report)
@@ -336,11 +336,11 @@ class PlaneDetectorNode(LifecycleNode):
         self._health.late_failure = ''
         try:
             compile_kernels(['ground_pixels'], self.get_logger().info,
-                            'the loops of ground, obstacles and drops')
+                            'the kernels of ground, obstacles and drops')
         except Exception as error:
             reason = plain(f'{type(error).__name__}: {error}')
             self._health.late_failure = reason
-            self.get_logger().error(f'no ground, obstacles and drops, whose loops cannot be '
+            self.get_logger().error(f'no ground, obstacles and drops, whose kernels cannot be '
                                     f'compiled: {reason}')
 
     def _fail(self, reason: str, may_pass: bool = False) -> TransitionCallbackReturn:

@@ -60,7 +60,7 @@ class LateKernels:
         return config  # if they could not be compiled, the frame will say why
 
     def _load(self) -> None:
-        compile_kernels(['shapes'], self._log, 'the loops of shapes.types (planes are found '
+        compile_kernels(['shapes'], self._log, 'the kernels of shapes.types (planes are found '
                         'meanwhile)')
 
 

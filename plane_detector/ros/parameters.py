@@ -129,7 +129,7 @@ def descriptor(field: Field, default: Any) -> ParameterDescriptor:
     """
     meta = field.metadata
     unit = f' [{meta["unit"]}]' if meta['unit'] else ''
-    when = '; read at configure' if meta['read_only'] else ''
+    when = '; read when the node is configured' if meta['read_only'] else ''
     result = ParameterDescriptor(description=meta['doc'] + unit + when)
     result.additional_constraints = _constraints(meta)
     result.dynamic_typing = _is_switch(meta)

@@ -132,4 +132,4 @@ def test_the_facts_are_those_of_the_last_frame(monkeypatch):
     assert health.facts['drops'] == 'not looked for: the unit is not known'
     ready.clear()
     health.note(detection((1, 3)), ())
-    assert health.facts['drops'] == 'not counted: their loops are being compiled'
+    assert health.facts['drops'] == 'not counted: their kernels are being compiled'

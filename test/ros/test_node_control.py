@@ -314,9 +314,9 @@ def test_planes_are_found_while_the_loops_of_shapes_are_compiled(robot, room, mo
     for stamp_s in (1.0, 2.0):
         send(robot, room, stamp_s)
         assert robot.wait_for('planes', int(stamp_s))[-1].header == header(stamp_s)
-    assert robot.is_logged('compiling the loops of shapes.types')
-    assert robot.log().count('compiling the loops of shapes.types') == 1
-    assert robot.diagnosis()[1]['shapes'] == 'their loops are being compiled'
+    assert robot.is_logged('compiling the kernels of shapes.types')
+    assert robot.log().count('compiling the kernels of shapes.types') == 1
+    assert robot.diagnosis()[1]['shapes'] == 'their kernels are being compiled'
     compiler.set()
     assert robot.spin(lambda: 'compiled' not in robot.diagnosis()[1]['shapes'])
     send(robot, room, 3.0)
@@ -342,7 +342,7 @@ def test_loops_that_cannot_be_compiled_later_are_said(robot, room, monkeypatch):
     monkeypatch.setattr(detector_node, 'compile_kernels', fail)
     monkeypatch.setattr(diagnostics, 'are_ready', lambda subject: False)
     start(robot, lambda rgb: room.depth_m, scale__gravity=room.gravity_camera.tolist())
-    assert robot.is_logged('no ground, obstacles and drops, whose loops cannot be compiled')
+    assert robot.is_logged('no ground, obstacles and drops, whose kernels cannot be compiled')
     send(robot, room, 1.0)
     assert robot.wait_for('planes', 1)[-1].header == header(1.0)
     assert robot.spin(lambda: 'drops' in robot.diagnosis()[1])

@@ -89,7 +89,7 @@ def test_descriptors_have_unit_range_and_choices(make_node):
     parameters.declare(node, Outer())
     count = node.describe_parameter('inner.count')
     assert count.type == ParameterType.PARAMETER_INTEGER
-    assert count.description == 'how many [px]; read at configure'
+    assert count.description == 'how many [px]; read when the node is configured'
     assert (count.integer_range[0].from_value, count.integer_range[0].to_value) == (0, 10)
     gain = node.describe_parameter('gain')
     assert gain.floating_point_range[0].from_value == 0.0
