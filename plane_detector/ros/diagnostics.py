@@ -290,8 +290,8 @@ def _drops_of(detection: Detection, late_failure: str) -> str:
     found = detection.ground_pixels
     if found.is_known and not are_ready('ground_pixels'):
         return ('not counted: their kernels are being compiled' if not late_failure else
-                f'not counted, their kernels cannot be compiled ({late_failure}): restart the node; '
-                'if that fails too, install numba anew')
+                f'not counted, their kernels cannot be compiled ({late_failure}): restart the '
+                'node; if that fails too, install numba anew')
     if detection.drop_note and not found.edge_note:
         return f'not looked for: {detection.drop_note}'
     points = f'{len(detection.drops_m)} points'
