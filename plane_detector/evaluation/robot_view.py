@@ -50,15 +50,20 @@ def loading_dock() -> Course:
     return course
 
 
+def pose(share: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return rotation and position of the camera after this share of the drive."""
+    swing = np.sin(2 * np.pi * share)
+    return (camera_rotation(6 * swing, PITCH_DEG, np.sin(4 * np.pi * share)),
+            np.array([0.25 * swing, STOP_M * share, HEIGHT_M]))
+
+
 def drive(images: int = IMAGES) -> Iterator[tuple[np.ndarray, Detection]]:
     """Yield image (H, W, 3) uint8 and detection, from the start to the edge of the dock."""
     course, rng = loading_dock(), np.random.default_rng(9000)
     detector = PlaneDetector(Config(scale=ScaleConfig(camera_height=HEIGHT_M)),
                              lambda rgb: depth_m)
     for share in np.linspace(0, 1, images).tolist():
-        rotation = camera_rotation(6 * np.sin(2 * np.pi * share), PITCH_DEG,
-                                   np.sin(4 * np.pi * share))
-        position = np.array([0.25 * np.sin(2 * np.pi * share), STOP_M * share, HEIGHT_M])
+        rotation, position = pose(share)
         scene = render(course.rectangles, rotation, position, CAMERA, rng)
         fine = render(course.rectangles, rotation, position, _doubled(CAMERA), rng)
         rgb = cv2.resize(_painted(fine, course, rotation, position), (CAMERA.width, CAMERA.height),

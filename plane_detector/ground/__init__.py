@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Where a robot may roll, what it must not hit, where it would fall.
+Traversable ground, obstacles and drops.
 
 The lowest level in an image is not the floor: at the head of a staircase it is the landing below.
 Planes give the levels and slopes, pixels what lies on them. The steps, as in `ground.find_ground`:
