@@ -14,6 +14,7 @@ import csv
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from plane_detector.dependencies import explained_imports, explanation
 from plane_detector.ending import quiet_interrupt, run_program, until_signal
@@ -28,6 +29,7 @@ with quiet_interrupt(), explained_imports('numba', 'scipy'):
     from plane_detector.ros.spinning import CannotRunError
     from plane_detector.segmentation.baselines import ransac_alone
     from plane_detector.tools.demo.photographs import (
+        WORKSHOP_GRAVITY,
         Lens,
         Photograph,
         own_images,
@@ -72,6 +74,9 @@ def _run(options: argparse.Namespace) -> int:
         _write_bag(options.output / 'example_bag', measured[0])
     if not options.without_network:
         network = _network(options)
+        if not options.images:
+            network['scale.gravity'] = WORKSHOP_GRAVITY
+            print('  The direction of gravity is given, as a robot has it from TF or an IMU.')
         name = Path(network['depth.model']).stem
         _show(photographs, network, f'depth from {name}', f'_{name}', options.output)
     print(f'\nThe images are in {options.output}/')
@@ -101,7 +106,7 @@ def _remove_earlier(folder: Path) -> None:
     listed.unlink(missing_ok=True)
 
 
-def _network(options: argparse.Namespace) -> dict[str, str]:
+def _network(options: argparse.Namespace) -> dict[str, Any]:
     """Return the parameters for the depth network, and make sure that its file is cached."""
     if options.model not in ('auto', *NETWORKS):
         path = Path(options.model).expanduser().absolute()
@@ -114,7 +119,7 @@ def _network(options: argparse.Namespace) -> dict[str, str]:
     return {'depth.model': network.name}
 
 
-def _show(photographs: Sequence[Photograph], parameters: Mapping[str, str], depth_title: str,
+def _show(photographs: Sequence[Photograph], parameters: Mapping[str, Any], depth_title: str,
           suffix: str, folder: Path) -> None:
     """Send each photograph to a node with these parameters; draw and print what it finds."""
     for is_guessed in sorted({one.intrinsics.is_guessed for one in photographs}):

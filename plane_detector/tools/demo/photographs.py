@@ -17,6 +17,9 @@ from plane_detector.types import CameraIntrinsics
 _FIELD_OF_VIEW_DEG = 60.0
 # Larger images are reduced: a labelled cloud of 4000 x 3000 points is 240 MB per frame.
 _LONGEST_SIDE_PX = 800
+# Direction down in the workshop: that of its floor in measured depth. A robot has it from TF or an
+# IMU; the small network shows too little of this image to find it.
+WORKSHOP_GRAVITY = (-0.01, 0.97, 0.26)
 _SUFFIXES = ('.bmp', '.jpeg', '.jpg', '.png', '.tif', '.tiff', '.webp')
 
 
