@@ -61,7 +61,8 @@ PARAMETERS = {'depth_source': 'depth.source', 'depth_transport': 'depth.transpor
               'depth_colour': 'depth.colour', 'depth_model': 'depth.model',
               'network_threads': 'depth.threads', 'processing_mode': 'mode',
               'camera_height': 'scale.camera_height', 'gravity': 'scale.gravity',
-              'mounting': 'directions.mounting', 'plane_map': 'map.enabled', 'map_file': 'map.file'}
+              'mounting': 'directions.mounting', 'plane_map': 'map.enabled',
+              'map_file': 'map.file'}
 OVERRIDES = ('depth_source', 'depth_transport', 'depth_colour', 'depth_model', 'network_threads',
              'image_transport', 'max_side', 'camera_height', 'gravity', 'mounting', 'use_imu',
              'base_frame', 'target_frame', 'plane_map', 'map_file', 'points_color',
