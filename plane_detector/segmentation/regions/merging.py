@@ -121,6 +121,9 @@ MAX_HIDDEN_FOLD_DEG, FOLD_DEVIATIONS = 3.0, 2.0
 # the density of the noise by this power of the bending.
 # tuned: as above; SC .918 at 6, .911 at 4, where it is variance of the residuals.
 UNSHARED_POWER = 6
+# Twice the gain in log-likelihood, under the density of the noise, from which on pieces that do
+# not touch are two planes, however small their angle is.
+MIN_HIDDEN_GAIN = 28.0
 
 
 def merge_coplanar(cells: WeightedCells, graph: RegionGraph,
@@ -147,7 +150,9 @@ def merge_coplanar(cells: WeightedCells, graph: RegionGraph,
         if graph.borders[i, j, 0] == 0 and (
                 (correlation and _folds(graph.planes, graph.sums, graph.lens, (i, j), unshared))
                 or not _is_hidden_between(graph.labels, cells.table, cells.is_planar, graph.sums,
-                                          (i, j))):
+                                          (i, j))
+                or (correlation and _gain_of_two(graph.planes, graph.sums, (i, j))
+                    * cells.least_variance / correlation.density > MIN_HIDDEN_GAIN)):
             return True
         return prefer_two_planes(cells, graph.labels, correlation, i, j)
 
@@ -181,6 +186,18 @@ def _folds(planes, sums, lens, pair, density):
         dot += normals[0, axis] * normals[1, axis]
     fold_deg = math.degrees(math.acos(min(max(dot / math.sqrt(square), -1.0), 1.0)))
     return fold_deg > max(MAX_HIDDEN_FOLD_DEG, FOLD_DEVIATIONS * math.degrees(math.sqrt(variance)))
+
+
+@kernel('float64(float64[:, ::1], float64[:, ::1], UniTuple(int64, 2))', is_short=True)
+def _gain_of_two(planes, sums, pair):
+    """Return how much worse a joint plane fits two regions than their own, in variances."""
+    i, j = pair
+    a, b, c = fit_plane(sums[i, :10] + sums[j, :10])
+    gain = 0.0
+    for k in pair:
+        own = squared_error(planes[k, 0], planes[k, 1], planes[k, 2], sums[k])
+        gain += (squared_error(a, b, c, sums[k]) - own) * sums[k, N] / sums[k, VARIANCE]
+    return gain
 
 
 def merge_bowed_walls(graph: RegionGraph) -> RegionGraph:
