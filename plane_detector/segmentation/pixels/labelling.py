@@ -20,7 +20,7 @@ from plane_detector.compilation import kernel
 from plane_detector.segmentation.cells.labels import at_borders
 from plane_detector.segmentation.cells.model import LOCAL_RATIO, MAX_DEVIATIONS, Frame
 from plane_detector.segmentation.cells.noise import DepthKind
-from plane_detector.segmentation.regions.region_graph import RegionGraph
+from plane_detector.segmentation.regions.region_graph import APART, RegionGraph
 from plane_detector.segmentation.search.plane_search import sees_creases
 
 # Planes closer to each other than this share of the tolerance, squared, are alike.
@@ -258,8 +258,8 @@ def _choose_sides(pixels, chosen, near, local, signs, own):
     """
     Relabel the pixels close to an intersection, where residuals are alike, by their side.
 
-    Where two planes that do not intersect at their border are one within the noise, the label of
-    the cell stays.
+    Where the planes of two pieces that do not touch are one within the noise, the label of the
+    cell stays.
     """
     count = 0
     while near[count] >= 0:
@@ -267,16 +267,16 @@ def _choose_sides(pixels, chosen, near, local, signs, own):
     for k in range(count):
         for m in range(count):
             one, other, sign = near[k], near[m], signs[near[k], near[m]]
-            if one >= other or (sign == 0 and one != own and other != own):
+            if one >= other or sign == 0 or (sign == APART and one != own and other != own):
                 continue
-            closest = np.float32(1 if sign != 0 else ALIKE2)
+            closest = np.float32(ALIKE2 if sign == APART else 1)
             a, b, c = (local[k, 0] - local[m, 0], local[k, 1] - local[m, 1],
                        local[k, 2] - local[m, 2])
             for p in range(len(chosen)):
                 difference = a * pixels[0, p] + b * pixels[1, p] + c
                 is_close = difference * difference < closest * pixels[3, p]
                 if (chosen[p] == one or chosen[p] == other) and is_close:
-                    if sign == 0:
+                    if sign == APART:
                         chosen[p] = own
                     else:
                         chosen[p] = one if sign * difference > 0 else other

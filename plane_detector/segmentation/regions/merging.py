@@ -123,7 +123,8 @@ MAX_HIDDEN_FOLD_DEG, FOLD_DEVIATIONS = 3.0, 2.0
 UNSHARED_POWER = 6
 # Twice the gain in log-likelihood, under the density of the noise, from which on pieces that do
 # not touch are two planes, however small their angle is.
-MIN_HIDDEN_GAIN = 28.0
+# derived: chi-squared with the three coefficients of a plane reaches it once in a thousand times.
+MIN_HIDDEN_GAIN = 16.3
 
 
 def merge_coplanar(cells: WeightedCells, graph: RegionGraph,
