@@ -11,6 +11,7 @@ from plane_detector import CameraIntrinsics, Config, segment_planes
 from plane_detector.config import SegmentationConfig
 from plane_detector.evaluation.peers import plane_array
 from plane_detector.evaluation.scenes.rendering import VGA
+from plane_detector.evaluation.scenes.sensor_cases import SENSOR_CASES
 from plane_detector.geometry.disparity import to_disparity
 from plane_detector.segmentation.cells.noise import DepthKind
 from plane_detector.segmentation.segment import (
@@ -192,7 +193,8 @@ def tops_on_a_pallet(tilts_deg, seed, noise_px=0.05):
 
     Twelve of 20 x 15 cm, 1.2 cm apart, 1.34 m below the camera; each tilts in another direction.
     """
-    camera, rng = CameraIntrinsics(925.0, 925.0, 639.5, 359.5, 1280, 720), np.random.default_rng(seed)
+    camera = CameraIntrinsics(925.0, 925.0, 639.5, 359.5, 1280, 720)
+    rng = np.random.default_rng(seed)
     v, u = np.indices((720, 1280))
     rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy,
                      np.ones(v.shape)], -1)
@@ -210,6 +212,16 @@ def tops_on_a_pallet(tilts_deg, seed, noise_px=0.05):
     noise = cv2.GaussianBlur(rng.standard_normal(v.shape), (0, 0), 2.0)
     seen = 1 / depth_m + noise_px / (925 * 0.055) * noise / noise.std()
     return np.round(1 / seen, 3), tops, camera
+
+
+@pytest.mark.parametrize('seed', [9000, 9002])
+def test_filtered_depth_has_the_noise_floor_of_millimetres(seed):
+    """It is finer, but has noise enough in its cells; with a finer floor .79 were in one plane."""
+    scene, depth_m = SENSOR_CASES['filtered'](np.random.default_rng(seed))
+    found = segment_planes(depth_m, scene.intrinsics)
+    largest = np.isfinite(depth_m) & (scene.labels == np.bincount(
+        scene.labels[scene.labels >= 0]).argmax())
+    assert np.bincount(found.labels[largest] + 1)[1:].max() > 0.95 * largest.sum()
 
 
 @pytest.mark.parametrize('tilts_deg', [(0, 0, 4, 0, 0, 0, 0, 3, 6, 0, 0, 0),

@@ -4,9 +4,9 @@
 Find smears: ramps between a surface and another one behind it, which are no planes.
 
 Where depth has been resized, filtered or registered, an edge is a ramp of a few pixels. If it is
-linear in 1/z it is an exact plane, but one that is seen nearly from the side over all its area, and
-that begins at the depth of one surface and ends at that of the other. A wall seen so is wider, or
-what is behind its end is farther.
+linear in 1/z it is an exact plane, but one that is seen nearly from the side over all its area,
+and that begins at the depth of one surface and ends at that of the other. A wall seen so is wider,
+or what is behind its end is farther.
 """
 
 from __future__ import annotations

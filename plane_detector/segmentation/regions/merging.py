@@ -15,10 +15,10 @@ meet at the border without a step and at a small angle. Four tests differ in sur
 
 Regions whose normals differ are two planes, however well one plane fits their depth.
 
-Pieces that do not touch are one plane if a nearer object separates them: a floor continues behind
-a box, two tables of one height do not continue over the floor between them. The depth between them
-decides: something nearer than their plane hides its continuation, something farther shows that it
-ends.
+Pieces that do not touch are one plane if a joint plane fits as well as their own and a nearer
+object separates them: a floor continues behind a box, two tables of one height do not continue
+over the floor between them. The depth between them decides: something nearer than their plane
+hides its continuation, something farther shows that it ends.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ from plane_detector.segmentation.cells.plane_fit import (
     squared_error,
 )
 from plane_detector.segmentation.regions.curved import MAX_RATIO, MIN_NOISE_SHARE, fit_quadric
-from plane_detector.segmentation.regions.model_selection import prefer_two_planes
+from plane_detector.segmentation.regions.model_selection import MAX_CELLS, prefer_two_planes
 from plane_detector.segmentation.regions.region_graph import (
     NORMAL_SQUARES,
     NORMAL_X,
@@ -153,7 +153,7 @@ def merge_coplanar(cells: WeightedCells, graph: RegionGraph,
                 or not _is_hidden_between(graph.labels, cells.table, cells.is_planar, graph.sums,
                                           (i, j))
                 or (correlation and _gain_of_two(graph.planes, graph.sums, (i, j))
-                    * cells.least_variance / correlation.density > MIN_HIDDEN_GAIN)):
+                    * cells.least_variance > MIN_HIDDEN_GAIN * correlation.density)):
             return True
         return prefer_two_planes(cells, graph.labels, correlation, i, j)
 
@@ -191,14 +191,18 @@ def _folds(planes, sums, lens, pair, density):
 
 @kernel('float64(float64[:, ::1], float64[:, ::1], UniTuple(int64, 2))', is_short=True)
 def _gain_of_two(planes, sums, pair):
-    """Return how much worse a joint plane fits two regions than their own, in variances."""
+    """
+    Return how much worse a joint plane fits two regions than their own, in variances.
+
+    Of large regions that of MAX_CELLS cells: slow errors do not average out over more.
+    """
     i, j = pair
     a, b, c = fit_plane(sums[i, :10] + sums[j, :10])
     gain = 0.0
     for k in pair:
         own = squared_error(planes[k, 0], planes[k, 1], planes[k, 2], sums[k])
         gain += (squared_error(a, b, c, sums[k]) - own) * sums[k, N] / sums[k, VARIANCE]
-    return gain
+    return gain * min(1.0, MAX_CELLS / (sums[i, N] + sums[j, N]))
 
 
 def merge_bowed_walls(graph: RegionGraph) -> RegionGraph:
