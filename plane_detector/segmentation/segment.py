@@ -38,6 +38,7 @@ from plane_detector.segmentation.pixels.edge_snapping import (
 )
 from plane_detector.segmentation.pixels.gaps import close_gaps
 from plane_detector.segmentation.pixels.labelling import label_pixels
+from plane_detector.segmentation.pixels.smears import find_smears
 from plane_detector.segmentation.regions.competition import compete_for_cells, reassign_cells
 from plane_detector.segmentation.regions.curved import MAX_RADIUS_M, find_curved
 from plane_detector.segmentation.regions.depth_steps import split_at_depth_steps
@@ -205,4 +206,6 @@ def _label_flat_regions(frame: Frame, graph: RegionGraph, correlation: Correlati
     names = np.arange(len(planes))
     names[:len(owner)] = owner
     names[curved] = -1
+    if frame.noise.is_metric:
+        names[find_smears(labels, planes, frame.image, frame.grid)] = -1
     return rename_labels(labels, names), np.concatenate([joined, planes[len(joined):]])

@@ -11,6 +11,7 @@ from plane_detector import CameraIntrinsics, Config, segment_planes
 from plane_detector.config import SegmentationConfig
 from plane_detector.evaluation.peers import plane_array
 from plane_detector.evaluation.scenes.rendering import VGA
+from plane_detector.evaluation.scenes.sensor_cases import SENSOR_CASES
 from plane_detector.geometry.disparity import to_disparity
 from plane_detector.segmentation.cells.noise import DepthKind
 from plane_detector.segmentation.segment import (
@@ -184,3 +185,68 @@ def test_stated_noise_of_a_sensor_is_a_bound_and_does_not_make_it_a_network():
     noise = segment(disparity, metric_noise_floor(config), config).noise
     assert noise.kind(0.5) is DepthKind.MEASURED and noise.mean_sigma >= 0.003
     assert unitless_noise_floor(disparity).is_metric is False
+
+
+def tops_on_a_pallet(tilts_deg, seed, noise_px=0.05):
+    """
+    Return depth of boxes from above, as stereo sees them, and a mask and the normal of each top.
+
+    Twelve of 20 x 15 cm, 1.2 cm apart, 1.34 m below the camera; each tilts in another direction.
+    """
+    camera = CameraIntrinsics(925.0, 925.0, 639.5, 359.5, 1280, 720)
+    rng = np.random.default_rng(seed)
+    v, u = np.indices((720, 1280))
+    rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy,
+                     np.ones(v.shape)], -1)
+    depth_m, tops = np.full(v.shape, 1.6), []
+    depth_m[(abs(rays[..., :2] * 1.45) <= (0.5, 0.4)).all(axis=-1)] = 1.45
+    for k, tilt_deg in enumerate(tilts_deg):
+        centre = np.array([(k % 4 - 1.5) * 0.212, (k // 4 - 1) * 0.162, 1.34])
+        tilt, towards = np.radians(tilt_deg), rng.uniform(0, 2 * np.pi)
+        normal = np.array([np.sin(tilt) * np.cos(towards), np.sin(tilt) * np.sin(towards),
+                           np.cos(tilt)])
+        top_m = centre @ normal / (rays @ normal)
+        is_top = (abs(rays[..., :2] * top_m[..., None] - centre[:2]) <= (0.1, 0.075)).all(axis=-1)
+        depth_m[is_top] = top_m[is_top]
+        tops.append((cv2.erode(is_top.astype(np.uint8), np.ones((9, 9))) > 0, normal))
+    noise = cv2.GaussianBlur(rng.standard_normal(v.shape), (0, 0), 2.0)
+    seen = 1 / depth_m + noise_px / (925 * 0.055) * noise / noise.std()
+    return np.round(1 / seen, 3), tops, camera
+
+
+@pytest.mark.parametrize('seed', [9000, 9002])
+def test_filtered_depth_has_the_noise_floor_of_millimetres(seed):
+    """It is finer, but has noise enough in its cells; with a finer floor .79 were in one plane."""
+    scene, depth_m = SENSOR_CASES['filtered'](np.random.default_rng(seed))
+    found = segment_planes(depth_m, scene.intrinsics)
+    largest = np.isfinite(depth_m) & (scene.labels == np.bincount(
+        scene.labels[scene.labels >= 0]).argmax())
+    assert np.bincount(found.labels[largest] + 1)[1:].max() > 0.95 * largest.sum()
+
+
+@pytest.mark.parametrize('tilts_deg', [(0, 0, 4, 0, 0, 0, 0, 3, 6, 0, 0, 0),
+                                       (3, 0, 0, 0, 0, 5, 0, 0, 0, 0, 0, 3)])
+def test_tilted_tops_beside_level_ones_have_their_own_plane(tilts_deg):
+    """Structure is no error that bends planes; tops that do not touch are not one by a hair."""
+    for seed in range(9000, 9003):
+        depth_m, tops, camera = tops_on_a_pallet(tilts_deg, seed)
+        found = segment_planes(depth_m, camera, Config(
+            segmentation=SegmentationConfig(flatness_distance=0.0)))
+        for mask, normal in tops:
+            plane = np.bincount(found.labels[mask] + 1, minlength=2)[1:].argmax()
+            assert (found.labels[mask] == plane).mean() > 0.7
+            assert abs(found.planes[plane].normal @ normal) > np.cos(np.radians(1.0))
+
+
+@pytest.mark.parametrize('size', [(64, 48), (128, 96)])
+def test_time_of_flight_whose_noise_does_not_grow_shows_the_near_floor(size):
+    """Noise of 4 mm at any distance is much in 1/z near the camera."""
+    for seed in range(9000, 9004):
+        exact_m, is_floor, camera = room_corner(size)
+        rng = np.random.default_rng(seed)
+        depth_m = exact_m + rng.normal(0, 0.004, exact_m.shape)
+        found = segment_planes(depth_m.astype(np.float32), camera)
+        seen = found.labels[is_floor]
+        best = np.bincount(seen + 1, minlength=2)[1:].argmax()
+        assert (seen == best).mean() > 0.9
+        assert found.planes[best].offset_m == pytest.approx(1.0, abs=0.01)

@@ -424,7 +424,8 @@ def with_fine_depth(noise_floor: Noise, image: DisparityImage, grid: CellGrid) -
 
     Without noise the floor stays: what is exact in a simulator is a surface of triangles. So it
     does with more noise than the floor, which hides nothing then: SC of rooms in simulated time of
-    flight .937 with the finer floor, .973 without.
+    flight .937 with the finer floor, .973 without; filtered depth, whose noise is in its cells and
+    not in its pixels, has .80 of a floor in one plane with it, .99 without.
     """
     if not noise_floor.is_metric or noise_floor.source_sigma > 0:
         return noise_floor
@@ -440,9 +441,10 @@ def with_fine_depth(noise_floor: Noise, image: DisparityImage, grid: CellGrid) -
     if floor_m >= noise_floor.depth_floor_m:
         return noise_floor
     finer = replace(noise_floor, depth_floor_m=floor_m)
-    square, typical = estimate_noise(grid, finer).pixel_sigma ** 2, grid.typical_disparity
-    is_between = finer.variance_floor(typical) < square < noise_floor.variance_floor(typical)
-    return finer if is_between else noise_floor
+    found, typical = estimate_noise(grid, finer), grid.typical_disparity
+    is_hidden = max(found.pixel_sigma, found.mean_sigma) ** 2 < noise_floor.variance_floor(typical)
+    is_noise = found.pixel_sigma**2 > finer.variance_floor(typical)
+    return finer if is_hidden and is_noise else noise_floor
 
 
 def _even_step(values: np.ndarray) -> float:

@@ -20,8 +20,12 @@ from plane_detector.compilation import kernel
 from plane_detector.segmentation.cells.labels import at_borders
 from plane_detector.segmentation.cells.model import LOCAL_RATIO, MAX_DEVIATIONS, Frame
 from plane_detector.segmentation.cells.noise import DepthKind
-from plane_detector.segmentation.regions.region_graph import RegionGraph
+from plane_detector.segmentation.regions.region_graph import APART, RegionGraph
 from plane_detector.segmentation.search.plane_search import sees_creases
+
+# Planes closer to each other than this share of the tolerance, squared, are alike.
+# derived: one deviation.
+ALIKE2 = 1 / MAX_DEVIATIONS**2
 
 
 def label_pixels(frame: Frame, graph: RegionGraph) -> np.ndarray:
@@ -110,7 +114,7 @@ def _label(output, image, cells, table, planes, tolerance, sweeps):
             _move_planes(planes[0], near, (top, left), local)
             of_cell = tolerance[0] * table[cell, LOCAL_RATIO], tolerance[1], tolerance[2]
             _choose_nearest(pixels, chosen, near, local, of_cell)
-            _choose_sides(pixels, chosen, near, local, planes[1])
+            _choose_sides(pixels, chosen, near, local, planes[1], label)
             for p in range(len(chosen)):
                 if is_valid[first + offset[p]]:
                     out[first + offset[p]] = chosen[p] + shift if chosen[p] >= 0 else -1
@@ -249,21 +253,30 @@ def _choose_nearest(pixels, chosen, near, local, tolerance):
             pixels[4, p] = square if is_best else pixels[4, p]
 
 
-@kernel('void(float32[:, ::1], int32[::1], int32[::1], float32[:, ::1], int8[:, ::1])')
-def _choose_sides(pixels, chosen, near, local, signs):
-    """Relabel the pixels close to an intersection, where residuals are alike, by their side."""
+@kernel('void(float32[:, ::1], int32[::1], int32[::1], float32[:, ::1], int8[:, ::1], int64)')
+def _choose_sides(pixels, chosen, near, local, signs, own):
+    """
+    Relabel the pixels close to an intersection, where residuals are alike, by their side.
+
+    Where the planes of two pieces that do not touch are one within the noise, the label of the
+    cell stays.
+    """
     count = 0
     while near[count] >= 0:
         count += 1
     for k in range(count):
         for m in range(count):
             one, other, sign = near[k], near[m], signs[near[k], near[m]]
-            if one >= other or sign == 0:
+            if one >= other or sign == 0 or (sign == APART and one != own and other != own):
                 continue
+            closest = np.float32(ALIKE2 if sign == APART else 1)
             a, b, c = (local[k, 0] - local[m, 0], local[k, 1] - local[m, 1],
                        local[k, 2] - local[m, 2])
             for p in range(len(chosen)):
                 difference = a * pixels[0, p] + b * pixels[1, p] + c
-                is_close = difference * difference < pixels[3, p]
+                is_close = difference * difference < closest * pixels[3, p]
                 if (chosen[p] == one or chosen[p] == other) and is_close:
-                    chosen[p] = one if sign * difference > 0 else other
+                    if sign == APART:
+                        chosen[p] = own
+                    else:
+                        chosen[p] = one if sign * difference > 0 else other

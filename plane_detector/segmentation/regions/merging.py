@@ -15,10 +15,10 @@ meet at the border without a step and at a small angle. Four tests differ in sur
 
 Regions whose normals differ are two planes, however well one plane fits their depth.
 
-Pieces that do not touch are one plane if a nearer object separates them: a floor continues behind
-a box, two tables of one height do not continue over the floor between them. The depth between them
-decides: something nearer than their plane hides its continuation, something farther shows that it
-ends.
+Pieces that do not touch are one plane if a joint plane fits as well as their own and a nearer
+object separates them: a floor continues behind a box, two tables of one height do not continue
+over the floor between them. The depth between them decides: something nearer than their plane
+hides its continuation, something farther shows that it ends.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ from plane_detector.segmentation.cells.plane_fit import (
     squared_error,
 )
 from plane_detector.segmentation.regions.curved import MAX_RATIO, MIN_NOISE_SHARE, fit_quadric
-from plane_detector.segmentation.regions.model_selection import prefer_two_planes
+from plane_detector.segmentation.regions.model_selection import MAX_CELLS, prefer_two_planes
 from plane_detector.segmentation.regions.region_graph import (
     NORMAL_SQUARES,
     NORMAL_X,
@@ -121,6 +121,10 @@ MAX_HIDDEN_FOLD_DEG, FOLD_DEVIATIONS = 3.0, 2.0
 # the density of the noise by this power of the bending.
 # tuned: as above; SC .918 at 6, .911 at 4, where it is variance of the residuals.
 UNSHARED_POWER = 6
+# Twice the gain in log-likelihood, under the density of the noise, from which on pieces that do
+# not touch are two planes, however small their angle is.
+# derived: chi-squared with the three coefficients of a plane reaches it once in a thousand times.
+MIN_HIDDEN_GAIN = 16.3
 
 
 def merge_coplanar(cells: WeightedCells, graph: RegionGraph,
@@ -147,7 +151,9 @@ def merge_coplanar(cells: WeightedCells, graph: RegionGraph,
         if graph.borders[i, j, 0] == 0 and (
                 (correlation and _folds(graph.planes, graph.sums, graph.lens, (i, j), unshared))
                 or not _is_hidden_between(graph.labels, cells.table, cells.is_planar, graph.sums,
-                                          (i, j))):
+                                          (i, j))
+                or (correlation and _gain_of_two(graph.planes, graph.sums, (i, j))
+                    * cells.least_variance > MIN_HIDDEN_GAIN * correlation.density)):
             return True
         return prefer_two_planes(cells, graph.labels, correlation, i, j)
 
@@ -181,6 +187,22 @@ def _folds(planes, sums, lens, pair, density):
         dot += normals[0, axis] * normals[1, axis]
     fold_deg = math.degrees(math.acos(min(max(dot / math.sqrt(square), -1.0), 1.0)))
     return fold_deg > max(MAX_HIDDEN_FOLD_DEG, FOLD_DEVIATIONS * math.degrees(math.sqrt(variance)))
+
+
+@kernel('float64(float64[:, ::1], float64[:, ::1], UniTuple(int64, 2))', is_short=True)
+def _gain_of_two(planes, sums, pair):
+    """
+    Return how much worse a joint plane fits two regions than their own, in variances.
+
+    Of large regions that of MAX_CELLS cells: slow errors do not average out over more.
+    """
+    i, j = pair
+    a, b, c = fit_plane(sums[i, :10] + sums[j, :10])
+    gain = 0.0
+    for k in pair:
+        own = squared_error(planes[k, 0], planes[k, 1], planes[k, 2], sums[k])
+        gain += (squared_error(a, b, c, sums[k]) - own) * sums[k, N] / sums[k, VARIANCE]
+    return gain * min(1.0, MAX_CELLS / (sums[i, N] + sums[j, N]))
 
 
 def merge_bowed_walls(graph: RegionGraph) -> RegionGraph:

@@ -30,6 +30,8 @@ from plane_detector.segmentation.cells.plane_fit import N, add_moments, fit_plan
 # derived: cells at this distance touch, because a cell that straddles the border may lie between
 # them.
 BORDER_REACH_CELLS = 2
+# derived: no sign.
+APART = 2
 # derived: the number of coefficients of a plane; a fit needs more cells than this.
 PLANE_TERMS = 3
 # derived: the columns of RegionGraph.sums behind those of PRODUCTS.
@@ -70,13 +72,13 @@ class RegionGraph:
 
     def intersections(self) -> np.ndarray:
         """
-        Find the pairs of touching regions whose planes intersect along their border.
+        Find the pairs of regions whose planes intersect along their border, or do not touch.
 
         Returns
         -------
         (K, K) int8
             Entry i, j is the sign of 1/z of plane min(i, j) minus the other plane, on the side of
-            min(i, j); 0 if one is in front of the other or they do not touch.
+            min(i, j); 0 if one is in front of the other, APART if they do not touch.
 
         """
         return _intersections(self.planes, self.borders)
@@ -201,6 +203,7 @@ def _intersections(planes, borders):
     for i in range(len(planes)):
         for j in range(i + 1, len(planes)):
             if borders[i, j, 0] == 0:
+                signs[i, j] = signs[j, i] = APART
                 continue
             here, there = _gaps(planes, borders, i, j)
             if here * there < 0:
