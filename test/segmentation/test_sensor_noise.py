@@ -77,13 +77,16 @@ def test_a_wall_of_a_few_steps_of_disparity_is_a_plane(sensor):
         assert (labels == 0).mean() > 0.9
 
 
-def test_rough_noise_bends_planes_by_millimetres_at_least():
-    """Its differences do not grow, as those of blurred noise, but it is a sensor's."""
+@pytest.mark.parametrize('wandering, is_sensor', [(0.0, False), (0.001, True)])
+def test_rough_noise_that_wanders_bends_planes_by_millimetres_at_least(wandering, is_sensor):
+    """Differences that do not grow with the distance are structure: tops that lie aslant."""
     rng = np.random.default_rng(0)
-    rough = cv2.GaussianBlur(rng.standard_normal(WALL.depth_m.shape), (0, 0), 2.0)
-    noise = noise_of(WALL.depth_m * (1 + 0.02 * rough))
+    rough, slow = (cv2.GaussianBlur(rng.standard_normal(WALL.depth_m.shape), (0, 0), sigma_px)
+                   for sigma_px in (2.0, 32.0))
+    noise = noise_of(WALL.depth_m * (1 + 0.02 * rough + wandering * slow / slow.std()))
     typical = np.median(1 / WALL.depth_m)
-    assert noise.systematic_sigma == pytest.approx(LEAST_ERROR_M * typical**2, rel=0.1)
+    assert noise.systematic_sigma == pytest.approx(
+        LEAST_ERROR_M * typical**2 if is_sensor else 0.0, rel=0.1)
 
 
 def test_even_steps_of_depth_are_its_noise_floor():
