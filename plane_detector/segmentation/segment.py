@@ -30,7 +30,7 @@ from plane_detector.segmentation.cells.noise_correlation import Correlation
 from plane_detector.segmentation.cells.normal_slopes import NormalMap, slopes_of
 from plane_detector.segmentation.cells.pixel_regions import NO_PATCHES, PixelRegions
 from plane_detector.segmentation.fine_pass import MIN_CELL_SHARE, add_small_planes
-from plane_detector.segmentation.memory import NO_MEMORY, Memory
+from plane_detector.segmentation.memory import NO_MEMORY, Memory, Recall
 from plane_detector.segmentation.pixels.edge_snapping import (
     GuideImage,
     blurs_steps,
@@ -151,7 +151,7 @@ def segment_next(memory: Memory, disparity: np.ndarray, noise_floor: Noise, conf
     grid = build_cell_grid(image, lens=lens)
     if normals is not None:
         grid = replace(grid, normal_slope=slopes_of(grid, normals))
-    memory = memory.for_image(grid)
+    memory = memory.for_grid(grid)
     min_pixels = MIN_CELL_SHARE * config.segmentation.min_plane_share * image.values.size
     noise_floor = with_fine_depth(with_quantisation(noise_floor, image), image, grid)
     frame, regions = search_planes(Frame(image, grid, noise_floor, min_pixels, config, rng,
@@ -159,8 +159,9 @@ def segment_next(memory: Memory, disparity: np.ndarray, noise_floor: Noise, conf
     regions = compete_for_cells(frame, regions)
     correlation = (Correlation.of(frame.cells, regions, frame.noise)
                    if frame.kind is DepthKind.MEASURED else None)
-    pieces, names, planes = _label(frame, regions, correlation, memory)
-    memory, labels = Memory.of(grid, pieces, names), rename_labels(pieces, names)
+    recall = Recall(memory, frame.cells)
+    pieces, names, planes = _label(frame, regions, correlation, recall)
+    memory, labels = recall.after(pieces, names), rename_labels(pieces, names)
     patches = NO_PATCHES
     if guide is not None and guide.is_usable:
         seen = guide, image.values, grid.planes_in_pixels(planes), frame.noise
@@ -174,30 +175,32 @@ def segment_next(memory: Memory, disparity: np.ndarray, noise_floor: Noise, conf
 
 
 def _label(frame: Frame, regions: PlaneRegions,
-           correlation: Correlation | None, memory: Memory) -> Labelled:
+           correlation: Correlation | None, recall: Recall) -> Labelled:
     """Return what the stages for the kind of depth find."""
     if frame.kind is DepthKind.MEASURED:
-        return _measured(frame, regions, correlation, memory)
-    return (_exact if frame.kind is DepthKind.EXACT else _network)(frame, regions)
+        return _measured(frame, regions, correlation, recall)
+    if frame.kind is DepthKind.EXACT:
+        return _exact(frame, regions, Recall(NO_MEMORY, frame.cells))
+    return _network(frame, regions)
 
 
-def _exact(frame: Frame, regions: PlaneRegions) -> Labelled:
+def _exact(frame: Frame, regions: PlaneRegions, recall: Recall) -> Labelled:
     """Return the labels and planes of exact depth."""
     graph = merge_coplanar(frame.cells, RegionGraph.of(frame.cells, regions), None)
-    return _label_flat_regions(frame, graph, None, MIN_TURN_DEG, NO_MEMORY)
+    return _label_flat_regions(frame, graph, None, MIN_TURN_DEG, recall)
 
 
 def _measured(frame: Frame, regions: PlaneRegions, correlation: Correlation | None,
-              memory: Memory) -> Labelled:
+              recall: Recall) -> Labelled:
     """Return the labels and planes of sensor depth, with pixel noise and smooth noise."""
     cells = frame.cells
     # Only if creases do not stand far above the noise it can hide steps.
     if not sees_creases(frame.grid, frame.noise, MAX_DEVIATIONS**2):
-        regions = split_at_depth_steps(frame, regions, correlation, memory)
+        regions = split_at_depth_steps(frame, regions, correlation, recall)
         regions = reassign_cells(frame, regions, correlation)
-    graph = merge_coplanar(cells, RegionGraph.of(cells, regions), correlation, memory)
+    graph = merge_coplanar(cells, RegionGraph.of(cells, regions), correlation, recall)
     return _label_flat_regions(frame, graph, correlation,
-                               frame.config.segmentation.flatness_angle, memory)
+                               frame.config.segmentation.flatness_angle, recall)
 
 
 def _network(frame: Frame, regions: PlaneRegions) -> Labelled:
@@ -208,7 +211,7 @@ def _network(frame: Frame, regions: PlaneRegions) -> Labelled:
 
 
 def _label_flat_regions(frame: Frame, graph: RegionGraph, correlation: Correlation | None,
-                        min_turn_deg: float, memory: Memory) -> Labelled:
+                        min_turn_deg: float, recall: Recall) -> Labelled:
     """Label pixels; remove curved regions last, so that no plane grows into them."""
     labels = label_pixels(frame, graph)
     if frame.kind is DepthKind.EXACT and frame.noise.is_metric:
@@ -218,11 +221,11 @@ def _label_flat_regions(frame: Frame, graph: RegionGraph, correlation: Correlati
     max_radius_m = MAX_RADIUS_M if frame.noise.is_metric else np.inf
     curved = find_curved(graph, frame.noise.density, min_turn_deg, frame.noise.bending,
                          max_radius_m, correlation,
-                         memory.bend_limits(graph.labels, len(graph.planes)))
+                         recall.bend_limits(graph.labels, len(graph.planes)))
     owner, joined = graph.owner, graph.planes
     if frame.noise.is_metric:
         owner, joined = join_nearly_flat(frame.cells, graph, curved, correlation,
-                                         frame.config.segmentation, memory)
+                                         frame.config.segmentation, recall)
     names = np.arange(len(planes))
     names[:len(owner)] = owner
     names[curved] = -1

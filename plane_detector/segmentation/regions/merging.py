@@ -53,7 +53,7 @@ from plane_detector.segmentation.cells.plane_fit import (
     normal_of,
     squared_error,
 )
-from plane_detector.segmentation.memory import NO_MEMORY, Memory
+from plane_detector.segmentation.memory import Decision, Recall
 from plane_detector.segmentation.regions.curved import MAX_RATIO, MIN_NOISE_SHARE, fit_quadric
 from plane_detector.segmentation.regions.model_selection import prefer_two_planes
 from plane_detector.segmentation.regions.region_graph import (
@@ -125,7 +125,7 @@ UNSHARED_POWER = 6
 
 
 def merge_coplanar(cells: WeightedCells, graph: RegionGraph,
-                   correlation: Correlation | None, memory: Memory = NO_MEMORY) -> RegionGraph:
+                   correlation: Correlation | None, recall: Recall | None = None) -> RegionGraph:
     """
     Merge pairs of regions, best fit first, until no pair fits.
 
@@ -135,7 +135,7 @@ def merge_coplanar(cells: WeightedCells, graph: RegionGraph,
     graph : RegionGraph
     correlation : Correlation or None
         Of the noise, for model selection; if None, all pairs that fit are merged.
-    memory : Memory
+    recall : Recall, optional
         Of the image before.
 
     Returns
@@ -148,18 +148,19 @@ def merge_coplanar(cells: WeightedCells, graph: RegionGraph,
 
     def is_apart(graph: RegionGraph, i: int, j: int, misfit: float) -> bool:
         touches = graph.borders[i, j, 0] > 0
-        if memory.is_two(misfit, graph.labels, (i, j), touches=touches):
+        if recall and recall.is_two(Decision.MISFIT, misfit, graph.labels, (i, j), touches):
             return True
         if not touches and (
                 (correlation and _folds(graph.planes, graph.sums, graph.lens, (i, j), unshared))
                 or not _is_hidden_between(graph.labels, cells.table, cells.is_planar, graph.sums,
                                           (i, j))):
             return True
-        return prefer_two_planes(cells, graph.labels, correlation, i, j, memory)
+        return prefer_two_planes(cells, graph.labels, correlation, i, j, recall)
 
     for min_pairs in (1, 0):  # neighbours first
         test = OnePlane(PLANE, MAX_JOINT_VARIANCES, min_pairs=min_pairs)
-        graph = merge_pairs(graph, partial(misfits, test=test), is_apart, memory.most)
+        graph = merge_pairs(graph, partial(misfits, test=test), is_apart,
+                            recall.most if recall else 1.0)
     return graph.without_merged()
 
 
@@ -199,7 +200,7 @@ def merge_bowed_walls(graph: RegionGraph) -> RegionGraph:
 
 def join_nearly_flat(cells: WeightedCells, graph: RegionGraph, removed: np.ndarray,
                      correlation: Correlation | None,
-                     config: SegmentationConfig, memory: Memory = NO_MEMORY
+                     config: SegmentationConfig, recall: Recall | None = None
                      ) -> tuple[np.ndarray, np.ndarray]:
     """
     Merge adjacent regions that are flat within the settings, flattest pair first.
@@ -217,7 +218,7 @@ def join_nearly_flat(cells: WeightedCells, graph: RegionGraph, removed: np.ndarr
         Of the noise, for model selection; if None, all pairs that fit are merged.
     config : SegmentationConfig
         Its ``flatness_distance`` and ``flatness_angle`` are used.
-    memory : Memory
+    recall : Recall, optional
         Of the image before.
 
     Returns
@@ -229,17 +230,17 @@ def join_nearly_flat(cells: WeightedCells, graph: RegionGraph, removed: np.ndarr
 
     """
     def is_apart(graph: RegionGraph, i: int, j: int, misfit: float) -> bool:
-        if (i in removed or j in removed
-                or memory.is_two(misfit, graph.labels, (i, j), is_joined=True)):
+        if i in removed or j in removed or (
+                recall and recall.is_two(Decision.FLAT, misfit, graph.labels, (i, j))):
             return True
         _, gap = fold(graph.planes, graph.sums, graph.borders, graph.lens, i, j)
         # The difference of two cells has this deviation: a smaller gap is a dip, not a step.
-        return gap > 2**0.5 and prefer_two_planes(cells, graph.labels, correlation, i, j, memory,
-                                                  is_joined=True)
+        return gap > 2**0.5 and prefer_two_planes(cells, graph.labels, correlation, i, j, recall)
 
     if config.flatness_distance > 0:
         flat = OnePlane(PLANE_M, config.flatness_distance, MAX_DEVIATIONS, config.flatness_angle)
-        graph = merge_pairs(graph, partial(misfits, test=flat), is_apart, memory.most)
+        graph = merge_pairs(graph, partial(misfits, test=flat), is_apart,
+                            recall.most if recall else 1.0)
     return graph.owner, graph.planes
 
 
