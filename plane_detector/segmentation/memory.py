@@ -54,7 +54,7 @@ class Memory:
     # (R * C,) float64: mean of each cell
     disparity: np.ndarray = field(default_factory=lambda: np.empty(0))
     lens: np.ndarray = field(default_factory=lambda: np.empty(0))  # of the grid
-    # (3, R, C) float64: average evidence of each :class:`Decision` at the cells of the smaller region
+    # (3, R, C) float64: average evidence of each :class:`Decision`, in the smaller region
     evidence: np.ndarray = field(default_factory=lambda: np.empty((len(Decision), 0, 0)))
 
     def for_grid(self, grid: CellGrid) -> Memory:
@@ -105,8 +105,8 @@ class Recall:
         """The largest statistic, over its limit, at which regions may stay one plane."""
         return 1.0 if self.is_empty else CLEAR
 
-    def is_two(self, decision: Decision, statistic: float, labels: np.ndarray, pair: tuple[int, int],
-               touches: bool = True) -> bool:
+    def is_two(self, decision: Decision, statistic: float, labels: np.ndarray,
+               pair: tuple[int, int], touches: bool = True) -> bool:
         """
         Return whether two regions are two planes: their statistic is above its limit, 1.
 
@@ -136,13 +136,15 @@ class Recall:
 
     def bend_limits(self, labels: np.ndarray, count: int) -> np.ndarray:
         """Return how many times the limits each region must be bent to be curved, (count,)."""
-        factors = np.ones(count)
-        for k in range(0 if self.is_empty else count):
-            piece = self._piece(labels == k)
-            if piece >= 0:
-                factors[k] = CLEARLY_CURVED if self._memory.planes[piece] >= 0 else (
-                    1 / CLEARLY_CURVED)
-        return factors
+        if self.is_empty:
+            return np.ones(count)
+        stride, last = len(self._memory.planes) + 1, self._memory.labels
+        shared = np.bincount(((labels + 1) * stride + last + 1).reshape(-1),
+                             minlength=(count + 1) * stride).reshape(-1, stride)[1:]
+        most = shared.argmax(axis=1)
+        is_known = (most > 0) & (2 * shared.max(axis=1) > shared.sum(axis=1))
+        was_flat = self._memory.planes[most - 1] >= 0
+        return np.where(is_known, np.where(was_flat, CLEARLY_CURVED, 1 / CLEARLY_CURVED), 1.0)
 
     def after(self, labels: np.ndarray, planes: np.ndarray) -> Memory:
         """Return the memory of an image, by the labels (H, W) of pixels and the pieces' planes."""
