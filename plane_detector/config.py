@@ -191,6 +191,9 @@ class SegmentationConfig(Settings, section='segmentation'):
     flatness_angle: float = setting(
         4.0, 'largest angle between planes that flatness_distance merges', 'deg', 0.0, 45.0,
         inner=True)
+    memory: bool = setting(
+        True, 'planes of measured depth stay from image to image unless the depth is clear; off: '
+        'each image by itself')
     snap_to_picture: bool = setting(
         True, 'with the depth of a network, borders of planes move to image edges within about '
         '3 pixels of the network input', inner=True)

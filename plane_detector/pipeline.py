@@ -46,8 +46,13 @@ from plane_detector.segmentation.cells.grid import lens_of
 from plane_detector.segmentation.cells.noise import Noise
 from plane_detector.segmentation.cells.normal_slopes import NormalMap
 from plane_detector.segmentation.cells.pixel_regions import PixelRegions
+from plane_detector.segmentation.memory import NO_MEMORY, Memory
 from plane_detector.segmentation.pixels.edge_snapping import GuideImage
-from plane_detector.segmentation.segment import metric_noise_floor, segment, unitless_noise_floor
+from plane_detector.segmentation.segment import (
+    metric_noise_floor,
+    segment_next,
+    unitless_noise_floor,
+)
 from plane_detector.shapes.detector import ShapeDetector
 from plane_detector.stage_timer import StageTimer
 from plane_detector.tracking.tracker import PlaneTracker
@@ -101,6 +106,7 @@ class _KindNote:
 class _PlaneState:
     """What the third stage keeps."""
 
+    memory: Memory = NO_MEMORY
     scale: ScaleState | None = None
     tracker: PlaneTracker = field(default_factory=PlaneTracker)
     shapes: ShapeDetector = field(default_factory=ShapeDetector)
@@ -265,8 +271,11 @@ class PlaneDetector:
             else:
                 load_once(*LOOPS, 'network')
                 cues = _network_cues(seen, config)
-            regions = _find_regions(seen.disparity, seen.intrinsics, config,
-                                    _noise_floor(seen, config), **cues)
+            remembers = config.segmentation.memory and seen.is_measured
+            regions, memory = _find_regions(
+                seen.disparity, seen.intrinsics, config, _noise_floor(seen, config),
+                memory=state.memory if remembers else NO_MEMORY, **cues)
+            state.memory = memory if remembers else NO_MEMORY
         with timer('scale'):
             # 2. The scale and shift to metres, smoothed over time.
             state.scale = _next_scale(state.scale, seen, regions, config, around)
@@ -325,7 +334,7 @@ class PlaneDetector:
         """
         Discard what is kept from earlier images, before the next one; from any thread.
 
-        That is averages of depth, lines, scale and labels.
+        That is averages of depth, lines, scale, planes and labels.
         """
         self._epoch += 1
 
@@ -386,8 +395,8 @@ def segment_planes(depth_m: np.ndarray, intrinsics: CameraIntrinsics, config: Co
     with one_thread():
         if disparity_noise == 0:
             depth_m = without_constants(depth_m, metric_noise_floor(config))
-        regions = _find_regions(to_disparity(depth_m), intrinsics, config,
-                                metric_noise_floor(config, disparity_noise), rng)
+        regions, _ = _find_regions(to_disparity(depth_m), intrinsics, config,
+                                   metric_noise_floor(config, disparity_noise), rng)
         return _measured_planes(regions, intrinsics, config)
 
 
@@ -450,11 +459,12 @@ def _network_cues(seen: Observation, config: Config) -> dict[str, GuideImage | N
 
 def _find_regions(disparity: np.ndarray, intrinsics: CameraIntrinsics, config: Config,
                   floor: Noise, rng: np.random.Generator | None = None,
-                  **cues: GuideImage | NormalMap | None) -> PixelRegions:
-    """Segment by ``segmentation.method``."""
+                  memory: Memory = NO_MEMORY, **cues: GuideImage | NormalMap | None
+                  ) -> tuple[PixelRegions, Memory]:
+    """Segment by ``segmentation.method``; return the memory for the next image too."""
     if config.segmentation.method == 'paper':
-        return segment_by_paper(disparity, intrinsics, floor, config, rng)
-    return segment(disparity, floor, config, rng, lens=lens_of(intrinsics), **cues)
+        return segment_by_paper(disparity, intrinsics, floor, config, rng), NO_MEMORY
+    return segment_next(memory, disparity, floor, config, rng, lens=lens_of(intrinsics), **cues)
 
 
 def _next_scale(before: ScaleState | None, seen: Observation, regions: PixelRegions,

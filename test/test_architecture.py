@@ -22,8 +22,8 @@ LAYERS = (('stopping', 'plain_text', 'process', 'dependencies'), ('ending', 'com
           ('ground', 'shapes', 'mapping'),
           ('pipeline', 'drawing'), ('ros',), ('tools',), ('evaluation',))
 # The same inside the segmentation, and what planes may know of it.
-SEGMENTATION_LAYERS = (('cells',), ('search',), ('regions',), ('pixels',), ('fine_pass',),
-                       ('segment',), ('baselines',))
+SEGMENTATION_LAYERS = (('cells',), ('memory',), ('search',), ('regions',), ('pixels',),
+                       ('fine_pass',), ('segment',), ('baselines',))
 PLANES_MAY_IMPORT = 'plane_detector.segmentation.cells'
 CORE = [path for path in SOURCES if path.relative_to(PACKAGE).parts[0] not in
         ('ros', 'tools', 'evaluation')]

@@ -30,6 +30,7 @@ from plane_detector.segmentation.cells.noise_correlation import Correlation
 from plane_detector.segmentation.cells.normal_slopes import NormalMap, slopes_of
 from plane_detector.segmentation.cells.pixel_regions import NO_PATCHES, PixelRegions
 from plane_detector.segmentation.fine_pass import MIN_CELL_SHARE, add_small_planes
+from plane_detector.segmentation.memory import NO_MEMORY, Memory, Recall
 from plane_detector.segmentation.pixels.edge_snapping import (
     GuideImage,
     blurs_steps,
@@ -59,6 +60,9 @@ RELATIVE_FLOOR = 1e-4
 # Exact surfaces that turn by less are planes: errors below the noise floor may be smooth.
 # tuned: rooms at noise 0.0001 and curved scenes; 0.16 of the rooms loses its labels at 0.
 MIN_TURN_DEG = 2.0
+# (H, W) int32, the pieces of planes; (K,) int, the plane of each, -1 where it is curved; (K, 3)
+# float64, the planes.
+Labelled = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 def metric_noise_floor(config: Config, disparity_noise: float = 0.0, *,
@@ -130,19 +134,35 @@ def segment(disparity: np.ndarray, noise_floor: Noise, config: Config,
         In the unit of the disparity. Finding no plane is not an error.
 
     """
+    return segment_next(NO_MEMORY, disparity, noise_floor, config, rng, guide, normals, lens)[0]
+
+
+def segment_next(memory: Memory, disparity: np.ndarray, noise_floor: Noise, config: Config,
+                 rng: np.random.Generator | None = None,
+                 guide: GuideImage | None = None, normals: NormalMap | None = None,
+                 lens: np.ndarray = TYPICAL_LENS) -> tuple[PixelRegions, Memory]:
+    """
+    Find the regions of the next image of a stream, as :func:`segment`.
+
+    Return them, and the memory for the image after it. :data:`NO_MEMORY` is that of the first.
+    """
     retain_freed_memory()
     rng = rng or np.random.default_rng(config.ransac.seed)
     image = DisparityImage(*zero_filled(disparity))
     grid = build_cell_grid(image, lens=lens)
     if normals is not None:
         grid = replace(grid, normal_slope=slopes_of(grid, normals))
+    memory = memory.for_grid(grid)
     min_pixels = MIN_CELL_SHARE * config.segmentation.min_plane_share * image.values.size
     noise_floor = with_fine_depth(with_quantisation(noise_floor, image), image, grid)
-    frame, regions = search_planes(Frame(image, grid, noise_floor, min_pixels, config, rng))
+    frame, regions = search_planes(Frame(image, grid, noise_floor, min_pixels, config, rng,
+                                         memory.hypotheses(grid)))
     regions = compete_for_cells(frame, regions)
     correlation = (Correlation.of(frame.cells, regions, frame.noise)
                    if frame.kind is DepthKind.MEASURED else None)
-    labels, planes = _label(frame, regions, correlation)
+    recall = Recall(memory, frame.cells)
+    pieces, names, planes = _label(frame, regions, correlation, recall)
+    memory, labels = recall.after(pieces, names), rename_labels(pieces, names)
     patches = NO_PATCHES
     if guide is not None and guide.is_usable:
         seen = guide, image.values, grid.planes_in_pixels(planes), frame.noise
@@ -152,44 +172,47 @@ def segment(disparity: np.ndarray, noise_floor: Noise, config: Config,
         labels[~image.valid] = -1
     correlated_px = correlation.correlated_cells * grid.size_px**2 if correlation else 0.0
     return PixelRegions(image.values, labels, planes, grid, frame.noise, correlated_px,
-                        patches=patches)
+                        patches=patches), memory
 
 
 def _label(frame: Frame, regions: PlaneRegions,
-           correlation: Correlation | None) -> tuple[np.ndarray, np.ndarray]:
-    """Return pixel labels and planes by the stages for the kind of depth."""
+           correlation: Correlation | None, recall: Recall) -> Labelled:
+    """Return what the stages for the kind of depth find."""
     if frame.kind is DepthKind.MEASURED:
-        return _measured(frame, regions, correlation)
-    return (_exact if frame.kind is DepthKind.EXACT else _network)(frame, regions)
+        return _measured(frame, regions, correlation, recall)
+    if frame.kind is DepthKind.EXACT:
+        return _exact(frame, regions, Recall(NO_MEMORY, frame.cells))
+    return _network(frame, regions)
 
 
-def _exact(frame: Frame, regions: PlaneRegions) -> tuple[np.ndarray, np.ndarray]:
-    """Return pixel labels and planes of exact depth."""
+def _exact(frame: Frame, regions: PlaneRegions, recall: Recall) -> Labelled:
+    """Return the labels and planes of exact depth."""
     graph = merge_coplanar(frame.cells, RegionGraph.of(frame.cells, regions), None)
-    return _label_flat_regions(frame, graph, None, MIN_TURN_DEG)
+    return _label_flat_regions(frame, graph, None, MIN_TURN_DEG, recall)
 
 
-def _measured(frame: Frame, regions: PlaneRegions,
-              correlation: Correlation | None) -> tuple[np.ndarray, np.ndarray]:
-    """Return pixel labels and planes of sensor depth, with pixel noise and smooth noise."""
+def _measured(frame: Frame, regions: PlaneRegions, correlation: Correlation | None,
+              recall: Recall) -> Labelled:
+    """Return the labels and planes of sensor depth, with pixel noise and smooth noise."""
     cells = frame.cells
     # Only if creases do not stand far above the noise it can hide steps.
     if not sees_creases(frame.grid, frame.noise, MAX_DEVIATIONS**2):
-        regions = split_at_depth_steps(frame, regions, correlation)
+        regions = split_at_depth_steps(frame, regions, correlation, recall)
         regions = reassign_cells(frame, regions, correlation)
-    graph = merge_coplanar(cells, RegionGraph.of(cells, regions), correlation)
-    return _label_flat_regions(frame, graph, correlation, frame.config.segmentation.flatness_angle)
+    graph = merge_coplanar(cells, RegionGraph.of(cells, regions), correlation, recall)
+    return _label_flat_regions(frame, graph, correlation,
+                               frame.config.segmentation.flatness_angle, recall)
 
 
-def _network(frame: Frame, regions: PlaneRegions) -> tuple[np.ndarray, np.ndarray]:
-    """Return pixel labels and planes of network depth, whose errors contain bends and steps."""
+def _network(frame: Frame, regions: PlaneRegions) -> Labelled:
+    """Return the labels and planes of network depth, whose errors contain bends and steps."""
     graph = merge_coplanar(frame.cells, RegionGraph.of(frame.cells, regions), None)
     graph = merge_bowed_walls(graph)
-    return label_pixels(frame, graph), graph.planes
+    return label_pixels(frame, graph), np.arange(len(graph.planes)), graph.planes
 
 
 def _label_flat_regions(frame: Frame, graph: RegionGraph, correlation: Correlation | None,
-                        min_turn_deg: float) -> tuple[np.ndarray, np.ndarray]:
+                        min_turn_deg: float, recall: Recall) -> Labelled:
     """Label pixels; remove curved regions last, so that no plane grows into them."""
     labels = label_pixels(frame, graph)
     if frame.kind is DepthKind.EXACT and frame.noise.is_metric:
@@ -198,14 +221,15 @@ def _label_flat_regions(frame: Frame, graph: RegionGraph, correlation: Correlati
     planes = add_small_planes(frame, labels, graph, min_turn_deg)
     max_radius_m = MAX_RADIUS_M if frame.noise.is_metric else np.inf
     curved = find_curved(graph, frame.noise.density, min_turn_deg, frame.noise.bending,
-                         max_radius_m, correlation)
+                         max_radius_m, correlation,
+                         recall.bend_limits(graph.labels, len(graph.planes)))
     owner, joined = graph.owner, graph.planes
     if frame.noise.is_metric:
         owner, joined = join_nearly_flat(frame.cells, graph, curved, correlation,
-                                         frame.config.segmentation)
+                                         frame.config.segmentation, recall)
     names = np.arange(len(planes))
     names[:len(owner)] = owner
     names[curved] = -1
     if frame.noise.is_metric:
         names[find_smears(labels, planes, frame.image, frame.grid)] = -1
-    return rename_labels(labels, names), np.concatenate([joined, planes[len(joined):]])
+    return labels, names, np.concatenate([joined, planes[len(joined):]])

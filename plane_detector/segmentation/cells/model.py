@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -143,6 +143,9 @@ class Frame:
     min_pixels: float  # smallest plane
     config: Config
     rng: np.random.Generator
+    # (h, 4) float64: planes of the image before, fitted to this one, and what their support is
+    # multiplied by
+    known: np.ndarray = field(default_factory=lambda: np.empty((0, 4)))
 
     @cached_property
     def kind(self) -> DepthKind:

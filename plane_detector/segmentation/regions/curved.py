@@ -106,7 +106,8 @@ def fit_quadric(first, second, noise_share):
 
 def find_curved(graph: RegionGraph, noise_density: float, min_turn_deg: float,
                 bending: float, max_radius_m: float = np.inf,
-                correlation: Correlation | None = None) -> np.ndarray:
+                correlation: Correlation | None = None,
+                much: np.ndarray | None = None) -> np.ndarray:
     """
     Find regions that a quadric explains better than a plane, alone or together with neighbours.
 
@@ -126,6 +127,8 @@ def find_curved(graph: RegionGraph, noise_density: float, min_turn_deg: float,
         Single regions of a larger radius must turn by more; infinite without metres.
     correlation : Correlation or None
         Of the noise; it replaces ``noise_density``.
+    much : (K,) float64, optional
+        How many times the limits each must exceed, a pair their geometric mean; default: once.
 
     Returns
     -------
@@ -139,36 +142,40 @@ def find_curved(graph: RegionGraph, noise_density: float, min_turn_deg: float,
     of_bows = (noise_density, np.inf, 0.0, 0.0, 1.0, 1.0)
     if correlation is not None:
         of_bows = correlation.of_bows
+    if much is None:
+        much = np.ones(len(sums))
     return np.flatnonzero(_in_bends(_bends(graph.planes, sums, graph.borders, graph.lens, of_bows,
-                                           (min_turn_deg, max_gap, max_radius_m))))
+                                           (min_turn_deg, max_gap, max_radius_m), much)))
 
 
 @kernel('int8[:, ::1](float64[:, ::1], float64[:, ::1], float64[:, :, ::1], float64[::1], '
-        'UniTuple(float64, 6), UniTuple(float64, 3))', is_short=True)
-def _bends(planes, sums, borders, lens, of_bows, limits):
+        'UniTuple(float64, 6), UniTuple(float64, 3), float64[::1])', is_short=True)
+def _bends(planes, sums, borders, lens, of_bows, limits, much):
     """Return 2 for regions and pairs that are clearly bent, 1 for weak bends, 0 for others."""
     (min_deg, max_gap, max_radius), count = limits, len(planes)
     bends = np.zeros((count, count), np.int8)
     for i in range(count):
-        bends[i, i] = 2 * _is_curved(sums[i], lens, of_bows, min_deg, max_radius)
+        bends[i, i] = 2 * _is_curved(sums[i], lens, of_bows, min_deg, max_radius, much[i])
         for j in range(i + 1, count):
             if borders[i, j, 0] == 0:
                 continue
             fold_deg, gap = fold(planes, sums, borders, lens, i, j)
+            by = np.sqrt(much[i] * much[j])
             # A gap that bends explain counts along a side: the root of a square's number of cells.
             side = np.sqrt(min(sums[i, N], sums[j, N]))
             most = max_gap if borders[i, j, 0] >= side else MAX_DEVIATIONS
-            if gap >= most or not min_deg < fold_deg < MAX_FOLD_DEG:
+            if gap * by >= most or not min_deg * by < fold_deg < MAX_FOLD_DEG:
                 continue
             gain, _, worst = fit_quadric(sums[i], sums[j], 1.0)
-            if gain > MIN_NOISE_SHARE and worst < MAX_RATIO:
+            if gain > MIN_NOISE_SHARE * by and worst * by < MAX_RATIO:
                 _, total, worst = fit_quadric(sums[i], sums[j], MIN_NOISE_SHARE)
-                bends[i, j] = bends[j, i] = 1 + (gain > 1 and total < 1 and worst < MAX_RATIO)
+                bends[i, j] = bends[j, i] = 1 + (gain > by and total * by < 1
+                                                 and worst * by < MAX_RATIO)
     return bends
 
 
-@kernel('boolean(float64[::1], float64[::1], UniTuple(float64, 6), float64, float64)')
-def _is_curved(sums, lens, of_bows, min_deg, max_radius):
+@kernel('boolean(float64[::1], float64[::1], UniTuple(float64, 6), float64, float64, float64)')
+def _is_curved(sums, lens, of_bows, min_deg, max_radius, much):
     """Return whether a quadric fits far better than a plane and turns by more than the angle."""
     count, mean, quadric, products = sums[N], sums[D] / sums[N], np.zeros(7), _products(sums)
     of_plane, plane = solve_least_squares(products, PLANE_TERMS, quadric), quadric.copy()
@@ -187,7 +194,7 @@ def _is_curved(sums, lens, of_bows, min_deg, max_radius):
     change = own - smooth * np.expm1(-decay * (columns * columns * half2) ** (power / 2))
     variance = max(of_quadric / (count - QUADRIC_TERMS), sums[VARIANCE] / count,
                    min(density, BEND_SHARE * count * change))
-    if of_plane - of_quadric <= MIN_F * (QUADRIC_TERMS - PLANE_TERMS) * variance:
+    if of_plane - of_quadric <= MIN_F * (QUADRIC_TERMS - PLANE_TERMS) * variance * much:
         return False
     turn = np.sqrt(max(12 * (lens[0]**2 * along_x + lens[1]**2 * along_y), 0.0))
     # Along a ray of slope X the depth bends by the second derivative of 1/z by X per square metre,
@@ -197,7 +204,7 @@ def _is_curved(sums, lens, of_bows, min_deg, max_radius):
     xx, xy, yy = lens[0]**2 * xx, lens[0] * lens[1] * xy, lens[1]**2 * yy
     curvature = abs(xx + yy) / 2 + np.sqrt((xx - yy)**2 / 4 + xy**2)
     turn_deg = np.degrees(np.arctan2(turn, mean))
-    return turn_deg > min_deg * max(1.0, 1 / (max_radius * curvature * cosine))
+    return turn_deg > min_deg * much * max(1.0, 1 / (max_radius * curvature * cosine))
 
 
 @kernel('boolean[::1](int8[:, ::1])', is_short=True)

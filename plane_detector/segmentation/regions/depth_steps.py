@@ -19,6 +19,7 @@ from plane_detector.compilation import kernel
 from plane_detector.geometry.robust import SIGMA_PER_MEDIAN, median
 from plane_detector.segmentation.cells.model import Frame, PlaneRegions, fit_regions
 from plane_detector.segmentation.cells.noise_correlation import Correlation
+from plane_detector.segmentation.memory import Recall
 from plane_detector.segmentation.regions.model_selection import REACH_CELLS, prefer_two_planes
 
 # Blocks of pixels along the side of a cell; the compared means are half a cell wide,
@@ -40,7 +41,8 @@ PIECE = 3
 
 
 def split_at_depth_steps(frame: Frame, regions: PlaneRegions,
-                         correlation: Correlation | None) -> PlaneRegions:
+                         correlation: Correlation | None,
+                         recall: Recall | None = None) -> PlaneRegions:
     """
     Split regions along depth steps; without a correlation of the noise, nothing is split.
 
@@ -60,7 +62,7 @@ def split_at_depth_steps(frame: Frame, regions: PlaneRegions,
     for k in candidates[np.argsort(-blocks[candidates], kind='stable')]:
         new = len(regions.coefficients)
         labels = _with_piece(regions.labels, runs, k, (label[k], new))
-        if prefer_two_planes(cells, labels, correlation, label[k], new):
+        if prefer_two_planes(cells, labels, correlation, label[k], new, recall):
             regions = fit_regions(cells, labels, new + 1)
     return regions
 

@@ -53,6 +53,7 @@ from plane_detector.segmentation.cells.plane_fit import (
     normal_of,
     squared_error,
 )
+from plane_detector.segmentation.memory import Decision, Recall
 from plane_detector.segmentation.regions.curved import MAX_RATIO, MIN_NOISE_SHARE, fit_quadric
 from plane_detector.segmentation.regions.model_selection import MAX_CELLS, prefer_two_planes
 from plane_detector.segmentation.regions.region_graph import (
@@ -128,7 +129,7 @@ MIN_HIDDEN_GAIN = 16.3
 
 
 def merge_coplanar(cells: WeightedCells, graph: RegionGraph,
-                   correlation: Correlation | None) -> RegionGraph:
+                   correlation: Correlation | None, recall: Recall | None = None) -> RegionGraph:
     """
     Merge pairs of regions, best fit first, until no pair fits.
 
@@ -138,6 +139,8 @@ def merge_coplanar(cells: WeightedCells, graph: RegionGraph,
     graph : RegionGraph
     correlation : Correlation or None
         Of the noise, for model selection; if None, all pairs that fit are merged.
+    recall : Recall, optional
+        Of the image before.
 
     Returns
     -------
@@ -147,19 +150,23 @@ def merge_coplanar(cells: WeightedCells, graph: RegionGraph,
     """
     unshared = correlation and correlation.density / correlation.bending**UNSHARED_POWER
 
-    def is_apart(graph: RegionGraph, i: int, j: int) -> bool:
-        if graph.borders[i, j, 0] == 0 and (
+    def is_apart(graph: RegionGraph, i: int, j: int, misfit: float) -> bool:
+        touches = graph.borders[i, j, 0] > 0
+        if recall and recall.is_two(Decision.MISFIT, misfit, graph.labels, (i, j), touches):
+            return True
+        if not touches and (
                 (correlation and _folds(graph.planes, graph.sums, graph.lens, (i, j), unshared))
                 or not _is_hidden_between(graph.labels, cells.table, cells.is_planar, graph.sums,
                                           (i, j))
                 or (correlation and _gain_of_two(graph.planes, graph.sums, (i, j))
                     * cells.least_variance > MIN_HIDDEN_GAIN * correlation.density)):
             return True
-        return prefer_two_planes(cells, graph.labels, correlation, i, j)
+        return prefer_two_planes(cells, graph.labels, correlation, i, j, recall)
 
     for min_pairs in (1, 0):  # neighbours first
         test = OnePlane(PLANE, MAX_JOINT_VARIANCES, min_pairs=min_pairs)
-        graph = merge_pairs(graph, partial(misfits, test=test), is_apart)
+        graph = merge_pairs(graph, partial(misfits, test=test), is_apart,
+                            recall.most if recall else 1.0)
     return graph.without_merged()
 
 
@@ -210,12 +217,13 @@ def merge_bowed_walls(graph: RegionGraph) -> RegionGraph:
     # The angle is approximate, since the shift of the disparity may be unknown.
     bowed = OnePlane(QUADRIC, MAX_BOW_RATIO, max_fold_deg=MIN_CREASE_DEG)
     return merge_pairs(graph, partial(misfits, test=bowed),
-                       lambda graph, i, j: False).without_merged()
+                       lambda graph, i, j, misfit: False).without_merged()
 
 
 def join_nearly_flat(cells: WeightedCells, graph: RegionGraph, removed: np.ndarray,
                      correlation: Correlation | None,
-                     config: SegmentationConfig) -> tuple[np.ndarray, np.ndarray]:
+                     config: SegmentationConfig, recall: Recall | None = None
+                     ) -> tuple[np.ndarray, np.ndarray]:
     """
     Merge adjacent regions that are flat within the settings, flattest pair first.
 
@@ -232,6 +240,8 @@ def join_nearly_flat(cells: WeightedCells, graph: RegionGraph, removed: np.ndarr
         Of the noise, for model selection; if None, all pairs that fit are merged.
     config : SegmentationConfig
         Its ``flatness_distance`` and ``flatness_angle`` are used.
+    recall : Recall, optional
+        Of the image before.
 
     Returns
     -------
@@ -241,16 +251,18 @@ def join_nearly_flat(cells: WeightedCells, graph: RegionGraph, removed: np.ndarr
         Refitted for regions that others joined.
 
     """
-    def is_apart(graph: RegionGraph, i: int, j: int) -> bool:
-        if i in removed or j in removed:
+    def is_apart(graph: RegionGraph, i: int, j: int, misfit: float) -> bool:
+        if i in removed or j in removed or (
+                recall and recall.is_two(Decision.FLAT, misfit, graph.labels, (i, j))):
             return True
         _, gap = fold(graph.planes, graph.sums, graph.borders, graph.lens, i, j)
         # The difference of two cells has this deviation: a smaller gap is a dip, not a step.
-        return gap > 2**0.5 and prefer_two_planes(cells, graph.labels, correlation, i, j)
+        return gap > 2**0.5 and prefer_two_planes(cells, graph.labels, correlation, i, j, recall)
 
     if config.flatness_distance > 0:
         flat = OnePlane(PLANE_M, config.flatness_distance, MAX_DEVIATIONS, config.flatness_angle)
-        graph = merge_pairs(graph, partial(misfits, test=flat), is_apart)
+        graph = merge_pairs(graph, partial(misfits, test=flat), is_apart,
+                            recall.most if recall else 1.0)
     return graph.owner, graph.planes
 
 

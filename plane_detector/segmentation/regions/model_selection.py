@@ -24,6 +24,7 @@ from plane_detector.segmentation.cells.model import (
 )
 from plane_detector.segmentation.cells.noise_correlation import Correlation
 from plane_detector.segmentation.cells.plane_fit import solve_least_squares
+from plane_detector.segmentation.memory import Decision, Recall
 from plane_detector.segmentation.regions.region_graph import PLANE_TERMS
 
 # Smooth noise hardly changes over so many cells: those up to this far around the smaller region
@@ -45,7 +46,7 @@ MIN_LOG_LIKELIHOOD_GAIN = 28.0
 
 
 def prefer_two_planes(cells: WeightedCells, labels: np.ndarray, correlation: Correlation | None,
-                      first: int, second: int) -> bool:
+                      first: int, second: int, recall: Recall | None = None) -> bool:
     """
     Return whether a step or a crease along the border separates two regions.
 
@@ -58,6 +59,8 @@ def prefer_two_planes(cells: WeightedCells, labels: np.ndarray, correlation: Cor
         If None, no regions are separated.
     first, second : int
         The regions.
+    recall : Recall, optional
+        Of the image before.
 
     Returns
     -------
@@ -68,9 +71,12 @@ def prefer_two_planes(cells: WeightedCells, labels: np.ndarray, correlation: Cor
     if correlation is None:
         return False
     limit = MIN_LOG_LIKELIHOOD_GAIN / correlation.power
-    return limit < log_likelihood_gain(np.ascontiguousarray(labels), cells.table, cells.is_planar,
-                                       correlation.of_neighbours, (first, second),
-                                       (2 * limit, cells.least_variance))
+    gain = log_likelihood_gain(np.ascontiguousarray(labels), cells.table, cells.is_planar,
+                               correlation.of_neighbours, (first, second),
+                               (2 * limit, cells.least_variance))
+    if recall is None:
+        return gain > limit
+    return recall.is_two(Decision.GAIN, gain / limit, labels, (first, second))
 
 
 # With MAX_CELLS it takes 0.2 ms and keeps the lock, as the node switches threads after 1 ms; with

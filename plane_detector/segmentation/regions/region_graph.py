@@ -98,7 +98,8 @@ class RegionGraph:
 
 
 def merge_pairs(graph: RegionGraph, misfit: Callable[[RegionGraph], np.ndarray],
-                is_apart: Callable[[RegionGraph, int, int], bool]) -> RegionGraph:
+                is_apart: Callable[[RegionGraph, int, int, float], bool],
+                most: float = 1.0) -> RegionGraph:
     """
     Merge the pair of regions that fits best, until none fits.
 
@@ -109,15 +110,17 @@ def merge_pairs(graph: RegionGraph, misfit: Callable[[RegionGraph], np.ndarray],
         Returns (K, K) float64; entries i < j are at most 1 for a fit, all others infinite. NaN
         ends the merging.
     is_apart : callable
-        Returns whether two regions stay separate although they fit; called once per pair.
+        Returns whether two regions with a misfit stay separate; called once per pair.
+    most : float
+        Largest misfit of pairs that may be merged.
 
     """
     cost, refused, is_own = misfit(graph), [], False
     while cost.size:
         i, j = divmod(int(cost.argmin()), len(cost))
-        if not cost[i, j] <= 1:  # NaN is the least for argmin
+        if not cost[i, j] <= most:  # NaN is the least for argmin
             break
-        if is_apart(graph, i, j):
+        if is_apart(graph, i, j, float(cost[i, j])):
             refused.append((i, j))
         else:
             if not is_own:

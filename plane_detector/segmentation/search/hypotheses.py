@@ -39,16 +39,23 @@ CELLS = 'UniTuple(float64[:, ::1], 2)'
 FREE = 'int32[::1]'
 
 
-@kernel(f'Tuple((float64[:, ::1], float64))({FREE}, int64, {CELLS}, int64, float64)')
-def draw_planes(free, stride, cells, wanted, share):
+@kernel(f'Tuple((float64[:, ::1], float64))({FREE}, int64, {CELLS}, int64, float64, '
+        'float64[:, ::1])')
+def draw_planes(free, stride, cells, wanted, share, known):
     """
-    Return the planes (h, 3) of windows that are flat, about some free cells, and the next share.
+    Return the planes (h, 4) of windows that are flat, about some free cells, and the next share.
+
+    The last column is what their support is multiplied by, 1. The known planes come first.
 
     The windows are at places of an even sequence over the image. They stay where they are when
     cells elsewhere become free or are taken, so that slight noise draws nearly the same planes.
     """
     table, moments = cells
-    planes, total, n = np.empty((wanted * len(WINDOWS_CELLS), 3)), np.empty(10), 0
+    planes = np.ones((len(known) + wanted * len(WINDOWS_CELLS), 4))
+    total, n = np.empty(10), len(known)
+    for k in range(n):
+        for column in range(4):
+            planes[k, column] = known[k, column]
     for window in range(len(WINDOWS_CELLS)):
         height, width, drawn = WINDOWS_CELLS[window, 0], WINDOWS_CELLS[window, 1], 0
         for _ in range(len(free)):
@@ -86,7 +93,8 @@ def supported(planes, gain, least):
     """Keep hypotheses with enough support: that of the others will only fall."""
     n = 0
     for h in range(len(gain)):
-        planes[n, 0], planes[n, 1], planes[n, 2] = planes[h, 0], planes[h, 1], planes[h, 2]
+        for column in range(4):
+            planes[n, column] = planes[h, column]
         gain[n] = gain[h]
         n += gain[h] >= least
     return planes[:n], gain[:n]

@@ -76,14 +76,18 @@ def add_planes(frame: Frame, regions: PlaneRegions, most: int) -> PlaneRegions:
     limits = frame.min_pixels, MAX_DEVIATIONS**2, frame.rng.random()
     near = neighbour_steps(dbscan.eps, places.shape[1]), dbscan.min_samples
     found = find_planes((cells.table, cells.grid.moments), (places, cells.is_planar), labels, near,
-                        counts, limits)
+                        counts, limits, frame.known)
     return PlaneRegions(labels, np.concatenate([regions.coefficients, found]))
 
 
 @kernel(f'float64[:, ::1]({CELLS}, Tuple((int32[:, ::1], boolean[::1])), int32[:, ::1], {NEAR}, '
-        'UniTuple(int64, 4), UniTuple(float64, 3))')
-def find_planes(cells, grid, labels, near, counts, limits):
-    """Draw hypotheses and take the best until a draw yields none; return the planes (n, 3)."""
+        'UniTuple(int64, 4), UniTuple(float64, 3), float64[:, ::1])')
+def find_planes(cells, grid, labels, near, counts, limits, known):
+    """
+    Draw hypotheses and take the best until a draw yields none; return the planes (n, 3).
+
+    Known planes are hypotheses of the first draw.
+    """
     (first, most, wanted, max_drawn), (min_pixels, threshold2, share) = counts, limits
     (places, is_planar), label = grid, labels.reshape(-1)
     stride, free = places.shape[1], places.copy().reshape(-1)
@@ -97,7 +101,8 @@ def find_planes(cells, grid, labels, near, counts, limits):
     left = left[:n].copy()
     planes, taken, drawn = np.empty((most - first, 3)), 0, 0
     while taken < len(planes) and drawn < max_drawn and _pixels(left, free, cells) >= min_pixels:
-        hypotheses, share = draw_planes(free, stride, cells, min(wanted, len(left)), share)
+        hypotheses, share = draw_planes(free, stride, cells, min(wanted, len(left)), share, known)
+        known = known[:0]
         before, all_drawn = taken, len(left) <= wanted
         new, left = _take_best(hypotheses, (left, free, cells, near), labels, planes[taken:],
                                (first + taken, min_pixels, threshold2))
@@ -128,8 +133,8 @@ def _take_best(hypotheses, search, labels, planes, limits):
         hypotheses, gain = supported(hypotheses, gain, min_pixels / 2)
         if not len(gain):
             break
-        best = np.argmax(gain)
-        plane, members = _refine(hypotheses[best], (left, free, cells, near), threshold2)
+        best = _preferred(gain, hypotheses)
+        plane, members = _refine(hypotheses[best, :3], (left, free, cells, near), threshold2)
         if _pixels(members, free, cells) < max(min_pixels, 1.0):
             gain[best] = 0
             failures += 1
@@ -146,6 +151,16 @@ def _take_best(hypotheses, search, labels, planes, limits):
             planes[taken, axis] = plane[axis]
         left, failures, taken = left[:n], 0, taken + 1
     return taken, left
+
+
+@kernel('int64(float32[::1], float64[:, ::1])')
+def _preferred(gain, planes):
+    """Return the hypothesis of most support, times the preference for it."""
+    best = 0
+    for h in range(1, len(gain)):
+        if gain[h] * planes[h, 3] > gain[best] * planes[best, 3]:
+            best = h
+    return best
 
 
 @kernel(f'Tuple((float64[::1], int64[::1]))(float64[::1], Tuple((int64[::1], {FREE}, {CELLS}, '

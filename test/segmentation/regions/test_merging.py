@@ -112,7 +112,7 @@ def test_merged_regions_have_the_sums_of_all_their_cells():
             cost[pair] = 0
         return cost
 
-    result = merge_pairs(graph, misfit, lambda graph, i, j: False)
+    result = merge_pairs(graph, misfit, lambda *_: False)
     for part, before in zip(vars(graph).values(), given, strict=True):
         np.testing.assert_array_equal(part, before)
     np.testing.assert_array_equal(result.owner, [0, 0, 0, 3, 4, 5, 6, 4])

@@ -118,7 +118,7 @@ def test_planes_are_drawn_at_the_same_places_whichever_cells_are_free(room):
 
     def draw(free, share):
         return draw_planes(free.ravel(), places.shape[1], (cells.table, cells.grid.moments), 60,
-                           share)
+                           share, np.empty((0, 4)))
 
     drawn, share = draw(places, 0.3)
     again, later = draw(fewer, 0.3)[0], draw(places, share)[0]

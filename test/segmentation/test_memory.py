@@ -1,0 +1,186 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a stream remembers of its planes: they stay, what comes is there at once, errors die."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from plane_detector import CameraIntrinsics, Config, PlaneDetector
+from plane_detector.config import DepthConfig, SegmentationConfig
+from plane_detector.evaluation.metrics import overlap, segmentation_covering
+from plane_detector.evaluation.scenes.noise import with_disparity_noise
+from plane_detector.evaluation.scenes.rendering import box, camera_rotation, render
+from plane_detector.evaluation.scenes.rooms import random_room
+from plane_detector.geometry.disparity import to_disparity
+from plane_detector.pipeline import segment_planes
+from plane_detector.segmentation.cells.grid import lens_of
+from plane_detector.segmentation.memory import NO_MEMORY
+from plane_detector.segmentation.segment import metric_noise_floor, segment, segment_next
+
+CAMERA = CameraIntrinsics(262.5, 262.5, 159.5, 119.5, 320, 240)
+DEPTH = Config(depth=DepthConfig(source='topic'))
+NOISE = 0.004  # 1/m
+
+
+@cache
+def room(seed=300):
+    return random_room(np.random.default_rng(seed), CAMERA)
+
+
+@cache
+def table_top(*crates):
+    """Return a room with a table from above it, and crates (x, height) on the table."""
+    surfaces = box([0, 0, 1.25], [4, 5, 2.5]) + box([0, 1.2, 0.35], [1.4, 0.8, 0.7])
+    for x, height in crates:
+        surfaces += box([x, 1.15, 0.7 + height / 2], [0.3, 0.3, height], 10)
+    return render(surfaces, camera_rotation(0, -25, 0), np.array([0, -0.3, 1.4]), CAMERA,
+                  np.random.default_rng(0))
+
+
+def noisy(scenes, seed=0, sigma=NOISE):
+    rng = np.random.default_rng(seed)
+    return [with_disparity_noise(scene.depth_m, sigma, rng) for scene in scenes]
+
+
+def next_labels(memory, depth_m, camera=CAMERA):
+    """Return the labels of the next image and the memory after it."""
+    config = Config()
+    regions, memory = segment_next(memory, to_disparity(depth_m), metric_noise_floor(config),
+                                   config, lens=lens_of(camera))
+    return regions.labels, memory
+
+
+def labels_of(depths, memory=NO_MEMORY):
+    found = []
+    for depth_m in depths:
+        labels, memory = next_labels(memory, depth_m)
+        found.append(labels)
+    return found
+
+
+def single(depth_m):
+    config = Config()
+    return segment(to_disparity(depth_m), metric_noise_floor(config), config,
+                   lens=lens_of(CAMERA)).labels
+
+
+def likeness(one, other):
+    return segmentation_covering(overlap(one, other, np.ones(one.shape, bool)).counts)
+
+
+def planes_lost(labels):
+    """Return how many planes of over 2 % of an image have none with IoU > .5 in the next."""
+    lost = 0
+    for before, after in zip(labels[:-1], labels[1:], strict=True):
+        shared = overlap(before, after, np.ones(before.shape, bool))
+        large = shared.counts[:-1].sum(1) > 0.02 * before.size
+        lost += np.count_nonzero(shared.iou[large].max(axis=1, initial=0.0) <= 0.5)
+    return lost
+
+
+def detections(detector, depths, stamps=None):
+    black = np.zeros((*depths[0].shape, 3), np.uint8)
+    stamps = stamps or [k / 30 for k in range(len(depths))]
+    return [detector.detect(black, CAMERA, depth_m, stamp_s=stamp_s)
+            for depth_m, stamp_s in zip(depths, stamps, strict=True)]
+
+
+def test_without_memory_each_image_is_segmented_by_itself():
+    depths = noisy([room()] * 4)
+    off = replace(DEPTH, segmentation=SegmentationConfig(memory=False))
+    for depth_m, found in zip(depths, detections(PlaneDetector(off), depths), strict=True):
+        assert likeness(segment_planes(depth_m, CAMERA).labels, found.labels) == 1.0
+        np.testing.assert_array_equal(segment_planes(depth_m, CAMERA).labels, found.labels)
+
+
+def test_the_first_image_is_segmented_by_itself():
+    depth_m, = noisy([room()])
+    np.testing.assert_array_equal(next_labels(NO_MEMORY, depth_m)[0], single(depth_m))
+
+
+def test_a_standing_noisy_camera_keeps_its_planes():
+    kept = alone = 0
+    for seed in (9300, 9301, 9302, 9303):
+        depths = noisy([room(seed)] * 8, seed, 0.01)
+        kept += planes_lost(labels_of(depths))
+        alone += planes_lost([single(depth_m) for depth_m in depths])
+    assert 2 * kept <= alone
+
+
+def test_segmentation_with_memory_is_pure():
+    first, second = noisy([room()] * 2)
+    _, memory = next_labels(NO_MEMORY, first)
+    before = [part.copy() for part in vars(memory).values()]
+    one, other = (next_labels(memory, second)[0] for _ in range(2))
+    np.testing.assert_array_equal(one, other)
+    for was, part in zip(before, vars(memory).values(), strict=True):
+        np.testing.assert_array_equal(part, was)
+
+
+@pytest.mark.parametrize('height_m', [0.06, 0.2])
+def test_what_comes_is_there_in_the_first_image_and_gone_within_two(height_m):
+    empty, full = table_top(), table_top((0.1, height_m))
+    top = full.labels == np.bincount(full.labels[full.labels >= len(empty.planes)]).argmax()
+    beside = (full.labels == empty.labels[top][0]) & ~top
+    found = labels_of(noisy([empty] * 5 + [full] * 3 + [empty] * 3, sigma=0.001))
+
+    def is_apart(labels):
+        on_top, table = (np.bincount(labels[where] + 1) for where in (top, beside))
+        return (on_top.argmax() not in (0, table.argmax())
+                and on_top.max() > 0.5 * np.count_nonzero(top))
+    assert [is_apart(labels) for labels in found[:8]] == [False] * 5 + [True] * 3
+    assert not is_apart(found[10])
+
+
+@pytest.mark.parametrize('error', ['one plane', 'curved', 'cut', 'shifted', 'another scene'])
+def test_a_wrong_memory_is_forgotten(error):
+    depths = noisy([room()] * 8, sigma=0.002)
+    _, memory = next_labels(NO_MEMORY, depths[0])
+    labels, planes = memory.labels, memory.planes
+    if error == 'one plane':
+        wrong = replace(memory, labels=np.minimum(labels, 0), planes=planes[:1])
+    elif error == 'curved':
+        wrong = replace(memory, planes=np.full_like(planes, -1))
+    elif error == 'cut':
+        rows, columns = np.indices(labels.shape)
+        pieces = (rows // 8 * 20 + columns // 8).astype(np.int32)
+        wrong = replace(memory, labels=pieces, planes=np.arange(pieces.max() + 1))
+    elif error == 'shifted':
+        wrong = replace(memory, labels=np.roll(labels, (6, 12), (0, 1)))
+    else:
+        wrong = next_labels(NO_MEMORY, noisy([room(303)])[0])[1]
+    last = labels_of(depths[1:], wrong)[-1]
+    truth = room().labels
+    assert likeness(truth, last) > likeness(truth, single(depths[-1])) - 0.02
+
+
+def test_a_memory_of_another_size_or_lens_does_not_count():
+    depth_m, other_m = noisy([room()] * 2)
+    _, memory = next_labels(NO_MEMORY, depth_m)
+    half = np.ascontiguousarray(other_m[::2, ::2])
+    of_half = CameraIntrinsics(131.25, 131.25, 79.5, 59.5, 160, 120)
+    for depth, lens in ((half, of_half), (other_m, replace(CAMERA, fx=300.0, fy=300.0))):
+        np.testing.assert_array_equal(next_labels(memory, depth, lens)[0],
+                                      next_labels(NO_MEMORY, depth, lens)[0])
+
+
+@pytest.mark.parametrize('how', ['reset', 'jump back in time'])
+def test_a_new_epoch_starts_without_memory(how):
+    depths, detector = noisy([room()] * 3, sigma=0.01), PlaneDetector(DEPTH)
+    detections(detector, depths[:2], [10.0, 10.03])
+    if how == 'reset':
+        detector.reset()
+    found, = detections(detector, depths[2:], [10.07 if how == 'reset' else 1.0])
+    np.testing.assert_array_equal(found.labels, detections(PlaneDetector(DEPTH), depths[2:])[0]
+                                  .labels)
+
+
+def test_a_stream_that_starts_later_agrees_from_its_second_image_on():
+    depths = noisy([room()] * 8, sigma=0.002)
+    whole, later = labels_of(depths), labels_of(depths[4:])
+    assert min(map(likeness, whole[5:], later[1:])) >= 0.97
+    for one, other in zip(whole, labels_of(depths), strict=True):
+        np.testing.assert_array_equal(one, other)
