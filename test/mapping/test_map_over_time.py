@@ -10,10 +10,11 @@ import pytest
 from plane_detector import Config, PlaneDetector
 from plane_detector.config import DepthConfig, MapConfig
 from plane_detector.evaluation.benchmark.map import record
+from plane_detector.evaluation.scenes.rooms import box, camera_rotation, render
 from plane_detector.geometry.rigid_transform import RigidTransform
 from plane_detector.mapping.plane_map import PlacedDetection, PlaneMap
 from plane_detector.mapping.registration import Correction, predict
-from plane_detector.types import CameraIntrinsics
+from plane_detector.types import CameraIntrinsics, PlaneClass
 
 CAMERA = CameraIntrinsics.from_field_of_view(160, 120, 70.0)
 HERE = RigidTransform.identity()
@@ -154,3 +155,25 @@ def test_the_map_is_the_same_in_every_frame_with_z_up():
         # The poses see the planes where the last camera did.
         np.testing.assert_allclose(
             snapshot.to_poses.after(one.correction.transform).translation_m, 0, atol=1e-9)
+
+
+def test_the_map_knows_what_is_up_and_what_is_a_floor():
+    """From detections with gravity, in a world whose z points up."""
+    planes, labels = PlaneMap(), []
+    camera = CameraIntrinsics.from_field_of_view(160, 120, 80.0)
+    size_m = np.array([4.0, 5.0, 2.6])
+    room = box(size_m / 2, size_m)
+    for yaw_deg in (0, 10, 20, 30):
+        pose = RigidTransform(camera_rotation(yaw_deg, -25, 5), np.array([2.0, 2.0, 1.3]))
+        scene = render(room, pose.rotation, pose.translation_m, camera, np.random.default_rng(0))
+        found = PlaneDetector(Config(depth=DepthConfig(source='topic'))).detect(
+            scene.rgb, camera, scene.depth_m, -pose.rotation[2])
+        labels.append(planes.update(PlacedDetection(found, camera, pose, 0.1 * yaw_deg)).labels)
+    assert planes.up == pytest.approx([0, 0, 1], abs=0.02)
+    kinds = {plane.label: (plane.plane_class, plane.axes[2]) for plane in planes.planes}
+    for kind, normal in kinds.values():
+        assert (kind == PlaneClass.FLOOR) == (normal[2] > 0.9)
+        assert (kind == PlaneClass.WALL) == (abs(normal[2]) < 0.1)
+    assert len(kinds) >= 3
+    # A label of an image is that of a plane that is in the map after it.
+    assert {label for one in labels[-1:] for label in one.tolist()} <= {0, *kinds}

@@ -7,6 +7,7 @@ import pytest
 
 from plane_detector.scale import shift_posterior
 from plane_detector.scale.disparity_planes import DisparityPlanes
+from plane_detector.scale.estimate import ScaleEstimate
 from plane_detector.scale.floor import fit_floor
 from plane_detector.scale.shift_posterior import ShiftEstimate
 
@@ -19,6 +20,17 @@ def floor_ahead(down):
     slopes = down / HEIGHT_M / SCALE - [0, 0, TAU]
     return DisparityPlanes(slopes[None], np.tile(1e6 * np.eye(3), (1, 1, 1)),
                            np.array([[0.15, 0.3]]), np.array([0.6]), np.array([0]))
+
+
+def test_the_stated_error_of_depth_is_the_spread_at_the_far_end():
+    """Of depth by scales and shifts that are drawn, at the least disparity of the span."""
+    covariance = np.array([[4e-4, -1e-4], [-1e-4, 1e-4]])
+    estimate = ScaleEstimate(0.5, 0.1, 'camera_height', True, True, np.nan, '', (0.2, 0.5, 1.0))
+    scales, shifts = np.random.default_rng(0).multivariate_normal(
+        [0.5, 0.1], covariance, 40_000).T
+    far_m = 1 / (scales * 0.2 + shifts)
+    assert estimate.with_covariance(covariance).uncertainty == pytest.approx(
+        far_m.std() * 0.2, rel=0.05)  # at 5 m
 
 
 @pytest.mark.parametrize('pitch_deg', [10.0, 35.0])

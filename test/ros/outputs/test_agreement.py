@@ -84,7 +84,8 @@ def made(request):
 
 
 def test_every_message_has_the_stamp_of_the_image_and_its_frame(made):
-    _, _, messages = made
+    _, frame, messages = made
+    assert frame.stamp_s == pytest.approx(STAMP_S)
     in_camera = {'labels', 'depth', 'overlay', 'overlay/compressed', 'camera_info'}
     for name, msg in messages.items():
         if name == 'planes_json':
