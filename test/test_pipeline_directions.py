@@ -8,7 +8,7 @@ import pytest
 from plane_detector import CameraIntrinsics, Config, PlaneDetector
 from plane_detector.config import DepthConfig, DirectionsConfig, ScaleConfig
 from plane_detector.depth.observation import DepthFunction
-from plane_detector.evaluation.metrics import angle_deg
+from plane_detector.evaluation.metrics import angle_deg, overlap, pure_errors
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.evaluation.scenes.rooms import random_room
 from plane_detector.evaluation.scenes.textures import ramp_room, textured
@@ -51,6 +51,28 @@ def test_floors_and_walls_of_a_network_are_turned_upright():
     assert worst_deg(turned) < 0.9
     raw = detect(Config(scale=GIVEN, directions=DirectionsConfig(orient_planes=False)))
     assert worst_deg(raw) > 1.0
+
+
+@pytest.mark.parametrize('turns', [0, 1, 2, 3])
+def test_axes_turn_planes_of_a_network_although_it_is_open_which_is_down(turns):
+    """The lines show three axes at right angles; a network does not show which one is down."""
+    rgb, wrong_m, labels = (np.ascontiguousarray(np.rot90(part, turns)) for part in (
+        SCENE.rgb, WRONG_M, SCENE.labels))
+    camera, planes = CAMERA, SCENE.planes.copy()
+    for _ in range(turns):
+        camera = CameraIntrinsics(camera.fy, camera.fx, camera.cy, camera.width - 1 - camera.cx,
+                                  camera.height, camera.width)
+        planes[:, :2] = np.column_stack([planes[:, 1], -planes[:, 0]])
+
+    def errors_deg(directions):
+        found = PlaneDetector(Config(directions=directions), network(wrong_m)).detect(rgb, camera)
+        seen = overlap(labels, found.labels, np.ones(labels.shape, bool))
+        normals = np.stack([[*plane.normal, plane.offset_m] for plane in found.planes])
+        errors, pixels = pure_errors(seen, planes, normals)
+        return found, np.average(errors, weights=pixels)
+    (found, by_axes), (_, raw) = errors_deg(DirectionsConfig()), errors_deg(OFF)
+    assert found.gravity_camera is None and set(found.classes) == {PlaneClass.UNKNOWN}
+    assert by_axes < 1.0 < 10.0 < raw
 
 
 def test_exact_planes_of_a_small_image_do_not_move():

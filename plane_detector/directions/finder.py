@@ -28,6 +28,7 @@ from plane_detector.directions.posterior import (
 )
 from plane_detector.directions.temporal_filter import ImagePoints, Step, carried, first_view
 from plane_detector.directions.vanishing import (
+    NO_PAIRS,
     SYSTEMATIC_DEG,
     SceneDirections,
     find_directions,
@@ -65,15 +66,14 @@ class ImageDirections:
 
     @property
     def axes(self) -> np.ndarray:
-        """Directions (A, 3): gravity, then the horizontal axes; (0, 3) if refused."""
-        if self.directions.gravity_camera is None:
+        """Directions (A, 3): the main axis, then the pair across it; (0, 3) if refused."""
+        if self.directions.main_axis is None:
             return np.zeros((0, 3))
-        return np.vstack([self.directions.gravity_camera[None],
-                          *self.directions.pairs[:1]])
+        return np.vstack([self.directions.main_axis[None], *self.directions.pairs[:1]])
 
     @property
     def all_axes(self) -> np.ndarray:
-        """As ``axes``, with all pairs of horizontal axes about the vertical."""
+        """As ``axes``, with all pairs of axes about the main one."""
         return np.vstack([self.axes, *self.directions.pairs[1:]])
 
 
@@ -144,7 +144,9 @@ class Surroundings:
     @property
     def level_axes(self) -> np.ndarray:
         """Horizontal axes (A, 3) of the scene, from the image."""
-        return self.lines.axes[1:] if self.lines else np.zeros((0, 3))
+        if self.lines is None or self.lines.directions.gravity_camera is None:
+            return np.zeros((0, 3))
+        return self.lines.axes[1:]
 
 
 class DirectionFinder:
@@ -226,7 +228,7 @@ def _with_vertical(lines: ImageDirections, known: Gravity) -> ImageDirections:
     down = known.gravity_camera
     error_rad = np.radians(max(known.tolerance_deg / LIKELY_SIGMAS, SYSTEMATIC_DEG))
     return replace(lines, directions=replace(
-        lines.directions, gravity_camera=down, probability=1.0,
+        lines.directions, gravity_camera=down, probability=1.0, pairs=NO_PAIRS, open_axis=None,
         covariance=error_rad**2 * (np.eye(3) - np.outer(down, down))))
 
 

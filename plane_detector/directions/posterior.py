@@ -12,7 +12,8 @@ Posterior of the vertical and of the azimuth of the scene.
    the error for which these normals alone are most likely, and one vote however large it is.
 4. The evidence of lines is tempered: edges of one object are not independent.
 5. The grid is coarse first; its best cells are divided once more. The verticals within 5 degrees
-   of an answer are its mass: the probability that it is right.
+   of an answer are its mass: the probability that it is right. The mass of all frames with one of
+   its axes is the probability of that axis, whichever side is down.
 
 References
 ----------
@@ -399,6 +400,12 @@ class Posterior:
     downs: np.ndarray  # (V, 3) float64: unit vectors
     masses: np.ndarray  # (V,) float64: their sum is 1
     unsided: np.ndarray  # (V,) float64: masses without what faces the sides of the image
+    frames: np.ndarray  # (V, 3, 3) float64: the three axes of which each is one
+
+    def along(self, axis: np.ndarray) -> float:
+        """Return the probability of all frames with an axis (3,), whichever side is down."""
+        has_axis = (np.abs(self.frames @ axis) > np.cos(np.radians(CLOSE_DEG))).any(axis=1)
+        return float(self.masses[has_axis].sum())
 
     def near(self, down: np.ndarray) -> np.ndarray:
         """Return which verticals (V,), bool, are within CLOSE_DEG of one."""
@@ -472,7 +479,8 @@ def upright_posterior(evidence: Evidence, expected: Expected) -> tuple[np.ndarra
             * prior_density(downs, expected, evidence, FINE_ERROR_DEG))
     kept = np.flatnonzero(mass[0] > mass[0].max() * math.exp(-NEGLIGIBLE))
     masses, unsided = mass[:, kept]
-    posterior = Posterior(downs[kept], masses / masses.sum(), unsided / mass[1].sum())
+    posterior = Posterior(downs[kept], masses / masses.sum(), unsided / mass[1].sum(),
+                          frames[kept // 6])
     down = posterior.mean_shifted(posterior.masses)
     best = kept[np.where(posterior.near(down), posterior.masses, 0).argmax()]
     x = frames[best // 6, (best % 3 + 1) % 3]

@@ -145,7 +145,8 @@ def carried(expected: Expected, last: Step, segments: LineSegments,
             before, step, float(np.hypot(step_error_rad, CLOSE_RAD))), last.sides, rolled_rad)
         if abs(rolled_rad) > np.pi / 4:
             view = replace(view, sides=None, rolled_rad=0.0)
-    has_pair = len(pairs) and step_error_rad < LARGEST_PAIR_ERROR_RAD
+    is_level = last.directions.gravity_camera is not None
+    has_pair = is_level and len(pairs) and step_error_rad < LARGEST_PAIR_ERROR_RAD
     return replace(
         expected,
         before=view.modes and _turned(view.modes, view.rotation, _turn_error_rad(turn)),

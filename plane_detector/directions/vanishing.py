@@ -80,14 +80,29 @@ class SceneDirections:
 
     # (3,) float64 or None: unit direction of gravity in the optical frame
     gravity_camera: np.ndarray | None
-    covariance: np.ndarray  # (3, 3) float64: of that direction, rad^2; singular along it
-    # (P, 2, 3) float64: pairs of horizontal unit directions at right angles, the best supported
-    # first; their signs have no meaning
+    covariance: np.ndarray  # (3, 3) float64: of the main axis, rad^2; singular along it
+    # (P, 2, 3) float64: pairs of unit directions at right angles to each other and to the main
+    # axis, horizontal if that is the vertical, the best supported first; their signs have no
+    # meaning
     pairs: np.ndarray
     refusal: str = ''  # why there is no direction of gravity; empty if there is one
     pair_refusal: str = ''  # why there are no horizontal axes; empty if there are
     probability: float = 1.0  # that the direction of gravity is right within 5 degrees
     modes: Modes | None = None  # of the posterior, for the next image
+    # (3,) float64 or None: without a direction of gravity, an axis of the scene that is sure
+    # although it may be vertical or horizontal, and the probability of this axis
+    open_axis: np.ndarray | None = None
+    open_probability: float = 0.0
+
+    @property
+    def main_axis(self) -> np.ndarray | None:
+        """Unit axis (3,) that planes are along or across: of gravity, or the open one."""
+        return self.open_axis if self.gravity_camera is None else self.gravity_camera
+
+    @property
+    def main_probability(self) -> float:
+        """Probability that the main axis is right."""
+        return self.open_probability if self.gravity_camera is None else self.probability
 
 
 def find_directions(segments: LineSegments, evidence: Evidence | None = None,
@@ -124,11 +139,14 @@ def find_directions(segments: LineSegments, evidence: Evidence | None = None,
         masses=np.concatenate([share * modes.masses[:1], modes.masses[1:]]),
         unsided=np.concatenate([share * modes.unsided[:1], modes.unsided[1:]]), gain=gain)
     probability = float(modes.masses[0])
+    # Planes can be oriented by axes of which it is open which one is the vertical.
+    open_probability = float(share) * posterior.along(axes[0])
     if probability < MIN_PROBABILITY:
         reason = (f'{len(segments)} straight lines and the depth leave the vertical open: the '
                   f'most likely one is right with probability {probability:.2f}')
-        return SceneDirections(None, np.full((3, 3), np.nan), NO_PAIRS, reason, reason,
-                               probability, modes)
+        if open_probability < MIN_PROBABILITY:
+            return SceneDirections(None, np.full((3, 3), np.nan), NO_PAIRS, reason, reason,
+                                   probability, modes)
     if len(pairs):
         pairs = np.stack([_level(pair, down) for pair in (fit.axes[1:], *pairs[1:])])
     across = np.eye(3) - np.outer(down, down)
@@ -136,10 +154,13 @@ def find_directions(segments: LineSegments, evidence: Evidence | None = None,
                'the lines and the depth leave the azimuth of the horizontal axes open')
     # A wrong focal length tilts a direction towards or away from the optical axis.
     along = across[:, 2:] * evidence.focal_error * down[2]
-    return SceneDirections(
-        down, across @ covariance @ across + np.radians(SYSTEMATIC_DEG) ** 2 * across
-        + along @ along.T, pairs, '',
-        '' if len(pairs) else refusal, probability, modes)
+    covariance = (across @ covariance @ across + np.radians(SYSTEMATIC_DEG) ** 2 * across
+                  + along @ along.T)
+    if probability < MIN_PROBABILITY:
+        return SceneDirections(None, covariance, pairs, reason, reason, probability, modes, down,
+                               open_probability)
+    return SceneDirections(down, covariance, pairs, '', '' if len(pairs) else refusal,
+                           probability, modes)
 
 
 def _share_under_roof(axes: np.ndarray, evidence: Evidence, expected: Expected) -> float:

@@ -136,7 +136,7 @@ def score_orientations(planes: Planes, directions: SceneDirections,
     planes : Planes
         At least one, as in the network's depth.
     directions : SceneDirections
-        With gravity.
+        With a main axis.
     evidence : LineEvidence
         Of these planes.
     samples : RegionSamples
@@ -179,8 +179,11 @@ def most_likely(scored: ScoredOrientations, samples: RegionSamples) -> Orientati
                     + hypotheses.normals[:, -1] * share[:, None])
     posterior = np.exp(likely - likely.max(1, keepdims=True))
     posterior /= posterior.sum(1, keepdims=True)
-    of_class = _class_probability(hypotheses, posterior, normals,
-                                  scored.directions.gravity_camera, variances)
+    down, pairs = scored.directions.gravity_camera, scored.directions.pairs[:1].reshape(-1, 3)
+    # Whichever axis is down, the class has at least the least of their probabilities.
+    of_class = np.min([
+        _class_probability(hypotheses, posterior, normals, axis, variances)
+        for axis in ([scored.directions.main_axis, *pairs] if down is None else [down])], axis=0)
     return Orientations(
         normals, hypotheses.freedoms[chosen] < 2, np.sqrt(variances),
         _probability(hypotheses, posterior, chosen, variances), of_class / (1 + scored.free_odds))
@@ -254,9 +257,8 @@ def _same_surface(hypotheses: _Hypotheses, normals: np.ndarray, sigma_rad: float
 def _hypotheses(normals: np.ndarray, directions: SceneDirections, evidence: LineEvidence,
                 rays: np.ndarray) -> _Hypotheses:
     """Return all hypotheses, facing against the rays; the last one is the network's normal."""
-    down = directions.gravity_camera
     axes = directions.pairs.reshape(-1, 3)
-    points = np.vstack([down[None], axes])
+    points = np.vstack([directions.main_axis[None], axes])
     across = [normals - np.outer(normals @ axis, axis) for axis in points[:MAIN_AXES]]
     candidates = np.stack([*(np.broadcast_to(point, normals.shape) for point in points),
                            *across, normals], axis=1)
@@ -265,8 +267,12 @@ def _hypotheses(normals: np.ndarray, directions: SceneDirections, evidence: Line
     faces_away = (candidates[:, :-1] * rays[:, None]).sum(2) > 0
     candidates[:, :-1] *= np.where(faces_away, -1.0, 1.0)[..., None]
     cosine = (candidates * normals[:, None]).sum(2)
-    prior = np.array([LEVEL_PRIOR, *[AXIS_PRIOR] * len(axes), UPRIGHT_PRIOR,
-                      *[ROOF_PRIOR] * (len(across) - 1), FREE_PRIOR])
+    of_points = np.array([LEVEL_PRIOR, *[AXIS_PRIOR] * len(axes)])
+    of_circles = np.array([UPRIGHT_PRIOR, *[ROOF_PRIOR] * (len(across) - 1)])
+    if directions.gravity_camera is None:  # any of the first axes may be the vertical
+        of_points[:MAIN_AXES] = of_points[:MAIN_AXES].mean()
+        of_circles[:] = of_circles.mean()
+    prior = np.array([*of_points, *of_circles, FREE_PRIOR])
     freedoms = np.repeat([0, 1, 2], [len(points), len(across), 1])
     can_rise = np.arange(len(freedoms)) > len(points)
     possible = length > MIN_ACROSS

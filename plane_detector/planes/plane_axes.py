@@ -31,8 +31,8 @@ OWN_SIGMA_RAD = np.radians(1.0)
 # even seeds 400 to 410 and 300 to 311: from 0.7 to 1 own axes are right where they are taken; of
 # 26 frames through fastdepth none is given its own axes up to 0.85, one wrong ones at 1.
 PLANE_VOTE = 0.85
-# Probability that the vertical of the lines is wrong although they are sure, as calibrated. The
-# true one is then that of a camera held upright, at any azimuth.
+# Probability that the main axis of the lines is wrong although they are sure, as calibrated. The
+# true vertical is then that of a camera as it is held, at any azimuth.
 WRONG = 0.02
 # The largest planes propose axes if they are perpendicular within this angle; the fit moves these.
 PROPOSING, PROPOSAL_RAD, FIT_ROUNDS = 8, np.radians(10.0), 3
@@ -52,7 +52,7 @@ def axes_of_planes(normals: np.ndarray, variances: np.ndarray,
     variances : (K,) float64
         Of the normals, rad^2, if the error of the network is OWN_SIGMA_RAD.
     lines : SceneDirections
-        From the lines, with gravity.
+        From the lines, with a main axis.
 
     Returns
     -------
@@ -65,11 +65,13 @@ def axes_of_planes(normals: np.ndarray, variances: np.ndarray,
     if axes is None:
         return None, -np.inf
     axes, variance = _fitted(axes, normals, variances)
-    upright = axes @ lines.gravity_camera
-    down = np.abs(upright).argmax()
-    own = replace(lines, gravity_camera=axes[down] * np.sign(upright[down]),
-                  covariance=variance * (np.eye(3) - np.outer(axes[down], axes[down])),
-                  pairs=np.delete(axes, down, axis=0)[None])
+    along = axes @ lines.main_axis
+    main = np.abs(along).argmax()
+    axis = axes[main] * np.sign(along[main])
+    own = replace(lines, **{('open_axis' if lines.gravity_camera is None else
+                             'gravity_camera'): axis},
+                  covariance=variance * (np.eye(3) - np.outer(axis, axis)),
+                  pairs=np.delete(axes, main, axis=0)[None])
     return own, _log_prior(own, variance, lines)
 
 
@@ -107,10 +109,13 @@ def _log_prior(own: SceneDirections, variance: float, lines: SceneDirections) ->
     """Return the log of the prior mass of axes that planes determine with a variance."""
     of_lines = np.trace(lines.covariance) / 2
     sharp = min(1.0, variance / of_lines)
-    is_wrong = 1 - lines.probability + WRONG
-    off_rad = np.arccos(np.clip(own.gravity_camera @ lines.gravity_camera, -1, 1))
+    is_wrong = 1 - lines.main_probability + WRONG
+    off_rad = np.arccos(np.clip(own.main_axis @ lines.main_axis, -1, 1))
     right = (1 - is_wrong) * sharp * np.exp(-0.5 * off_rad**2 / of_lines)
-    wrong = is_wrong * 2 * np.pi * variance * held_density(own.gravity_camera)
+    axes = np.vstack([own.main_axis[None], own.pairs[0]])
+    possible = (np.concatenate([axes, -axes]) if own.gravity_camera is None else axes[:1])
+    held = sum(held_density(down) for down in possible)
+    wrong = is_wrong * 2 * np.pi * variance * held
     anywhere = azimuth = np.sqrt(2 * np.pi * variance) / ALL_AZIMUTHS
     if len(lines.pairs):
         off_rad = _angle_rad(own.pairs[0] @ lines.pairs[0, 0]).min()

@@ -81,7 +81,7 @@ def reorient(regions: PixelRegions, planes: Planes, lines: ImageDirections,
     planes : Planes
         Measured in these regions, at least one.
     lines : ImageDirections
-        Of the image, with gravity.
+        Of the image, with a main axis.
     intrinsics : CameraIntrinsics
     shift_rad : float
         Error of normals by an uncertain shift of the disparity.

@@ -124,7 +124,7 @@ def test_a_mode_has_the_spread_of_its_verticals():
     angles = np.radians([-2.0, 2.0])
     downs = np.column_stack([np.zeros(2), np.cos(angles), np.sin(angles)])
     half = np.array([0.5, 0.5])
-    modes = Posterior(downs, half, half).modes(np.array([0.0, 1.0, 0.0]))
+    modes = Posterior(downs, half, half, np.zeros((2, 3, 3))).modes(np.array([0.0, 1.0, 0.0]))
     spread = np.sqrt(np.diag(modes.covariances[0] - CELL_RAD**2 / 12 * np.eye(3)))
     np.testing.assert_allclose(spread, [0, 0, np.sin(angles[1])], atol=1e-3)
     assert modes.masses.tolist() == [1.0]

@@ -86,7 +86,8 @@ def report_rendered(seeds: Sequence[int]) -> None:
     for name, make in SCENES.items():
         scenes = [textures.textured(make, seed) for seed in seeds]
         seen = [_directions(scene.rgb, scene.intrinsics) for scene in scenes]
-        axes = [error for one, scene in zip(seen, scenes, strict=True) if len(one.pairs)
+        axes = [error for one, scene in zip(seen, scenes, strict=True)
+                if one.gravity_camera is not None and len(one.pairs)
                 for error in _axis_errors(one.pairs[0], scene)]
         rows.append([name, _summary(_gravity_errors(seen, scenes), len(seeds)),
                      _summary(axes, len(axes)), *(_with_depth(scenes, seeds, sigma)
