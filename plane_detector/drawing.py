@@ -133,16 +133,17 @@ def tint(rgb: np.ndarray, labels: np.ndarray, colours: np.ndarray | None = None,
     Raises
     ------
     ValueError
-        Image and labels differ in size, or ``colours`` has another type or no colour but that of
-        label 0.
+        Image and labels differ in size, or ``colours`` has another type, or no colour for a label
+        above 0.
 
     """
     if rgb.shape[:2] != labels.shape:
         raise ValueError(f'the labels are {labels.shape}, the image {rgb.shape[:2]}')
     colours = np.vstack([PALETTE[:1], PALETTE]) if colours is None else np.asarray(colours)
-    if colours.dtype != np.uint8 or colours.shape != (len(colours), 3) or len(colours) < 2:
-        raise ValueError('colours must be (N, 3) uint8, of labels 0 to N - 1, with N at least 2, '
-                         f'not {colours.shape} {colours.dtype}: see colours_by_label')
+    if colours.dtype != np.uint8 or colours.shape != (len(colours), 3) or (
+            len(colours) < 2 and labels.max(initial=0) > 0):
+        raise ValueError('colours must be (N, 3) uint8, of labels 0 to N - 1, with more than that '
+                         f'of label 0, not {colours.shape} {colours.dtype}: see colours_by_label')
     return _tinted(np.ascontiguousarray(rgb), np.ascontiguousarray(labels, np.int32),
                    np.ascontiguousarray(colours[1:]), share)
 

@@ -4,6 +4,7 @@
 
 from dataclasses import replace
 
+import needs_onnxruntime  # noqa: F401
 import numpy as np
 import pytest
 

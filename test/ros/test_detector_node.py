@@ -112,10 +112,10 @@ def test_with_gravity_the_floor_is_classified_and_removed(robot, room):
     points = cloud_array(obstacles)[0]
     points_m = np.stack([points[axis] for axis in 'xyz'], axis=-1)
     assert np.isfinite(points_m).all()
-    # The pixels on the floor, and the few at the foot of walls that are hardly above it.
+    # The pixels on the floor, and those at the foot of walls, below ground.min_height.
     on_ground = np.isfinite(room.depth_m).sum() - len(points)
-    assert floor['num_inliers'] <= on_ground < 1.1 * floor['num_inliers']
-    assert (points_m @ normal + floor['d']).min() > 0.005
+    assert floor['num_inliers'] <= on_ground < 1.2 * floor['num_inliers']
+    assert (points_m @ normal + floor['d']).min() > 0.04
     on_floor = np.abs(points_m @ normal + floor['d']) < 0.02
     assert on_floor.mean() < 0.05
     captions = [marker.text for marker in robot.wait_for('markers')[0].markers if marker.text]
