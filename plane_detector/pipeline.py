@@ -67,7 +67,7 @@ from plane_detector.types import (
 DEFAULTS = Config()
 # Folders of the loops that every image needs.
 LOOPS = ('geometry', 'segmentation', 'planes', 'ground')
-# chosen: the kind of depth is looked at in the images 1, 2, 4, ... and in each so many.
+# chosen: the kind of depth is tested in images 1, 2, 4, ... up to this, then once in this many.
 _KIND_IMAGES = 64
 State = TypeVar('State')
 

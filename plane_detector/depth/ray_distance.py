@@ -76,7 +76,7 @@ def _means(image: np.ndarray, cell: int) -> np.ndarray:
 
 
 def _fitted(inverse: np.ndarray, log_lengths: np.ndarray, side: int) -> np.ndarray:
-    """Return k of the parts with so many cells on a side that determine it, (N,)."""
+    """Return k of each part, ``side`` cells wide and high, that determines it, (N,)."""
     values, logs = (np.lib.stride_tricks.sliding_window_view(image, (side, side))[
         ::side // 2, ::side // 2].reshape(-1, side * side) for image in (inverse, log_lengths))
     valid = np.isfinite(values)

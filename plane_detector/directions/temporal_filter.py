@@ -40,9 +40,9 @@ LINE_SPREAD_RAD, ROUNDS = np.radians(0.3), 5
 # Share of the line length that follows one rotation, at least. measured: .52 to .73 at 30
 # images/s, at most .08 between views of other parts of a room.
 LEAST_SHARE, MOST_SPREADS = 0.2, 3.0
-# Corner points (ORB) of the reduced image: how many, at most so many bits apart, the spread of
-# their rays about a rotation, and the share and number of matches that follow one. measured: of
-# 3 images/s of a walk .93 to 1 of 117 to 190 matches.
+# Corner points (ORB) of the reduced image: their number, their largest distance in bits, the
+# spread of their rays about a rotation, and the share and number of matches that follow one.
+# measured: of 3 images/s of a walk .93 to 1 of 117 to 190 matches.
 POINTS, MOST_BITS, POINT_SPREAD_RAD = 300, 50, 0.02
 LEAST_FOLLOWING, MIN_POINTS, HYPOTHESES = 0.5, 30, 24
 # Error of the estimated rotation, as a share of it and of a still camera: a camera that moves

@@ -135,7 +135,7 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
         ('FloorFit(scale, scale * found', 'FloorFit(scale, found', 'shift without the scale')),
     'scale/shift_posterior.py': (
         ('\n            + np.log(np.maximum(np.gradient(logit), 1e-12)))',
-         ')', 'the prior of a shift goes with the steps of its grid'),
+         ')', 'the prior of a shift depends on the steps of its grid'),
         ('- 3 * np.log(length)', '+ 3 * np.log(length)', 'flat worlds are likely'),
         (' * angle_sigma_deg / max(spread_deg, 1e-9)', '',
          'the error of a shift is all of its spread'),

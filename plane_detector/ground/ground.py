@@ -87,7 +87,7 @@ SEEN_SHARE = 0.003
 BEYOND_REACH_SHARE, AT_RANGE_SHARE = 0.002, 0.5
 # chosen: the few others of one end are torn off it by noise.
 ALL_SHARE = 0.9
-# chosen: if at least so many ends should be torn, less than this share of them is no chance.
+# chosen: the least number of expected torn ends, and the share of them below which it is an edge.
 # Rendered at 1.2 to 1.6 m with time-of-flight noise: none at edges, 1.2 to 6 times those expected
 # at limits.
 MIN_TORN, TORN_RATIO = 10, 0.25
@@ -161,7 +161,7 @@ def _stretches(intrinsics: CameraIntrinsics) -> np.ndarray:
 
 
 def _reached(values: np.ndarray, before: float, most: int) -> float:
-    """Return the value that so many exceed at most, 0 if it is not beyond the one before."""
+    """Return the value that at most ``most`` exceed; 0 if it is not above the one before."""
     beyond = values[(values > before) & (values < np.inf)]
     if len(beyond) <= most:
         return 0.0

@@ -220,7 +220,7 @@ class _Fields:
         return self._checked(field, self._value(field), least, most, (int,))
 
     def wholes(self, field: str, least: int, most: int, count: int) -> list[int]:
-        """Return whole numbers, at most so many."""
+        """Return a list of whole numbers, limited in length."""
         return [self._checked(field, value, least, most, (int,))
                 for value in self._list(field, count)]
 

@@ -23,7 +23,7 @@ from std_srvs.srv import Trigger
 STAND_IN = ROOT / 'test' / 'helpers' / 'tf_stand_in'
 WITHIN_S, GIVEN_UP_S = 5.0, 20.0
 MOST_MB = 200
-# Of the odd fields one in so many, that it takes minutes; all of them are in test_map_file.py.
+# Every fifth of the odd fields, to take minutes only; test_map_file.py has all of them.
 EVERY, CHANGED_BYTES = 5, 200
 
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""A mounting that is off is told from one that is right; heights are as sure as they say."""
+"""A wrong mounting is distinguished from a right one; errors of heights are as stated."""
 
 import numpy as np
 import pytest

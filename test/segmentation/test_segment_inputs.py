@@ -227,7 +227,7 @@ def test_filtered_depth_has_the_noise_floor_of_millimetres(seed):
 @pytest.mark.parametrize('tilts_deg', [(0, 0, 4, 0, 0, 0, 0, 3, 6, 0, 0, 0),
                                        (3, 0, 0, 0, 0, 5, 0, 0, 0, 0, 0, 3)])
 def test_tilted_tops_beside_level_ones_have_their_own_plane(tilts_deg):
-    """Structure is no error that bends planes; tops that do not touch are not one by a hair."""
+    """Structure is not mistaken for bending, nor tops that do not touch for one plane."""
     for seed in range(9000, 9003):
         depth_m, tops, camera = tops_on_a_pallet(tilts_deg, seed)
         found = segment_planes(depth_m, camera, Config(

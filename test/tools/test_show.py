@@ -52,12 +52,18 @@ def test_the_printed_table():
     assert len(lines) == 4
 
 
-def test_the_printed_table_of_a_map(room):
-    found, planes = room(3), PlaneMap()
+def map_of(scene):
+    """Return a map of one image, and its message, in which label 99 has become part of 1."""
+    planes = PlaneMap()
     detection = PlaneDetector(Config(depth=DepthConfig(source='topic'))).detect(
-        found.rgb, found.intrinsics, found.depth_m)
-    planes.update(PlacedDetection(detection, found.intrinsics, RigidTransform.identity(), 0.0))
-    msg = map_planes_to_msg(MapView(Header(frame_id='odom'), planes.snapshot(), {99: 1}))
+        scene.rgb, scene.intrinsics, scene.depth_m)
+    planes.update(PlacedDetection(detection, scene.intrinsics, RigidTransform.identity(), 0.0))
+    return planes, map_planes_to_msg(
+        MapView(Header(frame_id='odom'), planes.snapshot(), {99: 1}))
+
+
+def test_the_printed_table_of_a_map(room):
+    planes, msg = map_of(room(3))
     lines = table_of(msg).splitlines()
     row, *_ = cloud_array(msg)[0]
     assert lines[0].startswith(f'{len(planes.planes)} planes at ')
@@ -117,11 +123,7 @@ def test_json_is_a_line_with_units():
 
 
 def test_json_of_a_map_leaves_out_what_is_part_of_another_plane(room):
-    found, planes = room(3), PlaneMap()
-    detection = PlaneDetector(Config(depth=DepthConfig(source='topic'))).detect(
-        found.rgb, found.intrinsics, found.depth_m)
-    planes.update(PlacedDetection(detection, found.intrinsics, RigidTransform.identity(), 0.0))
-    msg = map_planes_to_msg(MapView(Header(frame_id='odom'), planes.snapshot(), {99: 1}))
+    planes, msg = map_of(room(3))
     labels = [plane['label'] for plane in json.loads(planes_to_json(msg))['planes']]
     assert labels == [plane.label for plane in planes.planes]
 

@@ -34,7 +34,7 @@ class Shot:
     stamp_s: float
 
     def turned(self, quarters: int) -> Shot:
-        """Return what a camera sees that is turned about its axis by so many right angles."""
+        """Return the view of a camera that is turned about its axis by quarter turns."""
         shot = self
         for _ in range(quarters % 4):
             camera, (x, y, z) = shot.intrinsics, shot.down

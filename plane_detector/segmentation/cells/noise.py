@@ -55,7 +55,7 @@ MODULUS_QUANTILE = NormalDist().inv_cdf((1 + QUANTILE) / 2)
 # tuned: walls and rooms rounded to .001 to .01 1/m, and exact, curved, millimetre and sensor depth
 # that are not: flat from 3 to 4 lines, .07 to .4 and .6 to .7.
 ROUNDING_LINES, MIN_EQUAL_SHARE, MIN_EVEN_SHARE = 4, 0.2, 0.6
-# Depth within so many millimetres of a whole number of them is in millimetres.
+# Depth this close to whole millimetres, in millimetres, is in millimetres.
 # derived: float32 of 1/z at 100 m is as coarse.
 WHOLE_MM = 0.02
 # Lower bound of the error of depth that is finer than millimetres.
