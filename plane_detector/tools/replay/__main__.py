@@ -86,13 +86,23 @@ def _run_one(options: ReplayOptions) -> int:
 
 
 def _run_many(arguments: argparse.Namespace, inputs: Sequence[str], folder: Path) -> int:
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # joblib ends its workers
+    received = []
+
+    def interrupt(number: int, _: object) -> None:
+        received.append(number)
+        raise KeyboardInterrupt  # joblib ends its workers
+    for number in (signal.SIGINT, signal.SIGTERM):
+        if signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, interrupt)
     bags = many_bags.find_bags(inputs, folder.resolve())
     options = _options(arguments, Path(), folder)
     try:
         summaries = many_bags.replay_many(bags, options, arguments.jobs)
-    except KeyboardInterrupt:  # a cluster on this machine ends with this process
-        end_process(INTERRUPTED)
+    except (KeyboardInterrupt, OSError):
+        # A terminal signals the workers too: that one of them ended may be noticed first.
+        if not received:
+            raise
+        end_process(INTERRUPTED)  # a cluster on this machine ends with this process
     print(many_bags.describe(summaries))
     print(f'The planes are in {folder}, this table in {folder / many_bags.SUMMARY_NAME}')
     if any(one.state == many_bags.FAILED for one in summaries):
