@@ -16,7 +16,8 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
-from plane_detector.compilation import load_once
+from plane_detector._runtime.compilation import load_once
+from plane_detector._runtime.process import one_thread
 from plane_detector.config import Config
 from plane_detector.depth.observation import DepthSource, ModelOrFunction, Observation, make_source
 from plane_detector.depth.ray_distance import kind_note
@@ -36,7 +37,6 @@ from plane_detector.planes.normal_map import reoriented_by_normals
 from plane_detector.planes.patches import fill_patches
 from plane_detector.planes.ray_planes import ray_planes
 from plane_detector.planes.reorientation import measure_reoriented
-from plane_detector.process import one_thread
 from plane_detector.scale.estimate import ScaleEstimate, apply_scale
 from plane_detector.scale.methods import ScaleEvidence, estimate_scale
 from plane_detector.scale.temporal_filter import ScaleState, update_scale

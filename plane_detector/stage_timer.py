@@ -8,7 +8,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from plane_detector.stopping import raise_if_stopped
+from plane_detector._runtime.stopping import raise_if_stopped
 
 
 class StageTimer:

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from plane_detector.compilation import _KERNELS, compile_kernels
+from plane_detector._runtime.compilation import _KERNELS, compile_kernels
 from plane_detector.evaluation.scenes.rooms import box, camera_rotation, random_room, render
 
 pytest.register_assert_rewrite('node_helpers', 'replay_helpers')

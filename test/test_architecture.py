@@ -15,8 +15,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / 'plane_detector'
 SOURCES = sorted(PACKAGE.rglob('*.py'))
 # A layer imports those before it; the rooms of one layer do not import each other.
-LAYERS = (('stopping', 'plain_text', 'process', 'dependencies'), ('ending', 'compilation'),
-          ('settings', 'stage_timer'),
+LAYERS = (('_runtime',), ('settings', 'stage_timer'),
           ('plane_fields',), ('config', 'types'), ('geometry',),
           ('depth', 'directions', 'segmentation', 'scale', 'tracking'), ('planes',),
           ('ground', 'shapes', 'mapping'),

@@ -12,11 +12,11 @@ import pytest
 from threadpoolctl import threadpool_info
 
 from plane_detector import CameraIntrinsics, PlaneDetector, segment_planes
+from plane_detector._runtime.process import one_thread
 from plane_detector.config import Config, DepthConfig
 from plane_detector.depth.observation import DepthFunction
 from plane_detector.evaluation.scenes.rooms import random_room
 from plane_detector.geometry.projection import pixel_rays, ray_lengths
-from plane_detector.process import one_thread
 
 CAMERA = CameraIntrinsics(262.0, 262.0, 159.5, 119.5, 320, 240)
 SCENE = random_room(np.random.default_rng(3), CAMERA)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from plane_detector import CameraIntrinsics, PlaneDetector, segment_planes
+from plane_detector._runtime.stopping import Stop, Stopped
 from plane_detector.config import (
     Config,
     DepthConfig,
@@ -23,7 +24,6 @@ from plane_detector.evaluation.scenes.rooms import random_room, single_wall
 from plane_detector.geometry.disparity import noise_reference
 from plane_detector.segmentation.search import ransac
 from plane_detector.settings import Settings
-from plane_detector.stopping import Stop, Stopped
 
 SMALL = CameraIntrinsics(262.0, 262.0, 159.5, 119.5, 320, 240)
 SCENE = random_room(np.random.default_rng(3), SMALL)

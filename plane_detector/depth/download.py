@@ -32,8 +32,8 @@ from typing import Any
 
 from tqdm import tqdm
 
-from plane_detector.plain_text import plain
-from plane_detector.stopping import Background, current_stop, raise_if_stopped
+from plane_detector._runtime.plain_text import plain
+from plane_detector._runtime.stopping import Background, current_stop, raise_if_stopped
 
 ANSWER_TIMEOUT_S = 5.0  # a host that sends nothing for this time counts as unreachable
 # chosen: as long as three hosts that redirect to each other may take.

@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 import onnxruntime as ort
 
+from plane_detector._runtime.stopping import current_stop, raise_if_stopped
 from plane_detector.depth.networks import Network
 from plane_detector.depth.preprocessing import lower_bound_size
-from plane_detector.stopping import current_stop, raise_if_stopped
 
 _NUMBERS = {f'tensor({name})' for name in (
     'float16', 'float', 'double', 'bool', 'int8', 'uint8', 'int16', 'uint16', 'int32', 'uint32',

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from plane_detector.compilation import kernel
+from plane_detector._runtime.compilation import kernel
 from plane_detector.directions.line_segments import LineSegments
 
 # Tolerances for a segment to point to a direction, at first and after the fit.

@@ -32,7 +32,7 @@ from functools import cache
 import cv2
 import numpy as np
 
-from plane_detector.compilation import kernel
+from plane_detector._runtime.compilation import kernel
 from plane_detector.directions.line_segments import LineSegments
 from plane_detector.geometry.rigid_transform import cross, unit
 from plane_detector.types import CameraIntrinsics

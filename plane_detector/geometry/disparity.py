@@ -13,7 +13,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from plane_detector.compilation import kernel
+from plane_detector._runtime.compilation import kernel
 from plane_detector.geometry.robust import quantiles
 
 # chosen: nearer than any camera measures; the inverse of smaller depths exceeds the precision of

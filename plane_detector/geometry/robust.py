@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from plane_detector.compilation import kernel
+from plane_detector._runtime.compilation import kernel
 
 # derived: ratio of the standard deviation of a normal variable to its median absolute deviation.
 SIGMA_PER_MEDIAN = 1.4826

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from plane_detector.compilation import kernel
+from plane_detector._runtime.compilation import kernel
 from plane_detector.geometry.disparity import MIN_DEPTH_M
 from plane_detector.ground.ways import FRACTION_BITS
 

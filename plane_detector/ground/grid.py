@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from plane_detector.compilation import kernel
+from plane_detector._runtime.compilation import kernel
 from plane_detector.config import GridConfig, GroundConfig
 from plane_detector.geometry.projection import pixel_rays
 from plane_detector.geometry.rigid_transform import RigidTransform

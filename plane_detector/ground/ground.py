@@ -10,7 +10,7 @@ from math import erf
 
 import numpy as np
 
-from plane_detector.compilation import load_once
+from plane_detector._runtime.compilation import load_once
 from plane_detector.config import Config, GroundConfig
 from plane_detector.directions.gravity_choice import COARSE_DEG, Gravity
 from plane_detector.geometry.disparity import valid_depth

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from plane_detector.compilation import kernel
+from plane_detector._runtime.compilation import kernel
 from plane_detector.geometry.disparity import MIN_DEPTH_M
 
 # After ScanShadowsFilter of ROS's laser_filters: a surface is seen at 10 degrees or more. Depth

@@ -17,7 +17,7 @@ from functools import cached_property
 import cv2
 import numpy as np
 
-from plane_detector.compilation import kernel
+from plane_detector._runtime.compilation import kernel
 from plane_detector.geometry.projection import pixel_rays
 from plane_detector.geometry.rigid_transform import RigidTransform
 from plane_detector.mapping.heights import PlaneFrames

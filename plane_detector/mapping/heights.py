@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from plane_detector.compilation import kernel
+from plane_detector._runtime.compilation import kernel
 from plane_detector.geometry.rigid_transform import RigidTransform
 from plane_detector.types import Planes
 

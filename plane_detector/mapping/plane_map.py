@@ -13,7 +13,7 @@ from statistics import median
 
 import numpy as np
 
-from plane_detector.compilation import load_once
+from plane_detector._runtime.compilation import load_once
 from plane_detector.config import MapConfig
 from plane_detector.geometry.rigid_transform import RigidTransform
 from plane_detector.mapping.association import (

@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 
-from plane_detector.compilation import kernel
+from plane_detector._runtime.compilation import kernel
 from plane_detector.types import Plane, PlaneClass, Planes
 
 # Largest inclination of a plane that still counts as horizontal or vertical.

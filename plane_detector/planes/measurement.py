@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from plane_detector.compilation import kernel
+from plane_detector._runtime.compilation import kernel
 from plane_detector.planes.region_samples import MIN_COSINE
 from plane_detector.segmentation.cells.labels import relabel_sequential
 from plane_detector.segmentation.cells.noise import CORRELATED_CELLS, SLOPE_PER_NOISE

@@ -17,7 +17,7 @@ from functools import cached_property
 import cv2
 import numpy as np
 
-from plane_detector.compilation import kernel
+from plane_detector._runtime.compilation import kernel
 from plane_detector.geometry.rigid_transform import RigidTransform, quaternions
 from plane_detector.plane_fields import Columns, Moves, Published, column
 from plane_detector.planes.region_samples import MIN_COSINE

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from plane_detector.compilation import kernel
+from plane_detector._runtime.compilation import kernel
 from plane_detector.segmentation.cells.pixel_regions import PATCH_SCALE
 from plane_detector.types import NO_SHAPE_LABELS, CameraIntrinsics, Planes
 

@@ -10,7 +10,7 @@ from functools import cached_property
 
 import numpy as np
 
-from plane_detector.compilation import kernel
+from plane_detector._runtime.compilation import kernel
 from plane_detector.geometry.projection import pixel_rays
 from plane_detector.geometry.robust import SIGMA_PER_MEDIAN, median
 from plane_detector.segmentation.cells.pixel_regions import PixelRegions

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from plane_detector.compilation import kernel
+from plane_detector._runtime.compilation import kernel
 from plane_detector.directions.finder import ImageDirections
 from plane_detector.geometry.rigid_transform import unit_vectors
 from plane_detector.planes.line_evidence import lines_in_regions

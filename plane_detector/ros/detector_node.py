@@ -22,12 +22,13 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
-from plane_detector.compilation import compile_kernels
-from plane_detector.dependencies import explanation
+from plane_detector._runtime.compilation import compile_kernels
+from plane_detector._runtime.dependencies import explanation
+from plane_detector._runtime.plain_text import plain
+from plane_detector._runtime.process import tidy_after_loading
+from plane_detector._runtime.stopping import Background, raise_if_stopped
 from plane_detector.depth.observation import ModelOrFunction
 from plane_detector.pipeline import PlaneDetector
-from plane_detector.plain_text import plain
-from plane_detector.process import tidy_after_loading
 from plane_detector.ros import parameters, qos
 from plane_detector.ros.diagnostics import (
     DiagnosticsPublisher,
@@ -57,7 +58,6 @@ from plane_detector.ros.outputs.topics import OUTPUTS, OutputPublishers, frame_t
 from plane_detector.ros.point_query import PointQuery
 from plane_detector.ros.spinning import CannotRunError
 from plane_detector.ros.transitions import Autostart, Transitions
-from plane_detector.stopping import Background, raise_if_stopped
 
 # Time that destroy_node waits for the work to stop.
 _STOP_TIMEOUT_S = 1.0

@@ -21,7 +21,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
-from plane_detector.compilation import are_ready
+from plane_detector._runtime.compilation import are_ready
 from plane_detector.ros.outputs.frame import DetectedFrame
 from plane_detector.ros.outputs.markers import plane_name
 from plane_detector.ros.qos import SILENT_PUBLISHER, overriding_options

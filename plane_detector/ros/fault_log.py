@@ -13,7 +13,7 @@ import time
 import traceback
 from typing import Any
 
-from plane_detector.plain_text import plain
+from plane_detector._runtime.plain_text import plain
 
 MOST_OF_FAILURE = 1000
 """For a fault that ends a transition, which may explain how to copy a network by hand."""

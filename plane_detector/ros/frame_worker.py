@@ -17,6 +17,13 @@ from typing import Any, Generic, NamedTuple, TypeVar
 
 from rclpy.task import Future
 
+from plane_detector._runtime.stopping import (
+    Background,
+    Stop,
+    Stopped,
+    current_stop,
+    raise_if_stopped,
+)
 from plane_detector.ros.diagnostics import Health, Statistics
 from plane_detector.ros.fault_log import FaultLog
 from plane_detector.ros.frame_processor import FrameProcessor, make_messages, placement_problem
@@ -25,7 +32,6 @@ from plane_detector.ros.live_settings import LiveSettings
 from plane_detector.ros.outputs.frame import DetectedFrame
 from plane_detector.ros.outputs.topics import OutputPublishers
 from plane_detector.ros.point_query import PointQuery
-from plane_detector.stopping import Background, Stop, Stopped, current_stop, raise_if_stopped
 
 Result, Item = TypeVar('Result'), TypeVar('Item')
 ANSWERED_WITHIN_S = 30.0

@@ -16,10 +16,10 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from plane_detector.compilation import are_ready, compile_kernels
+from plane_detector._runtime.compilation import are_ready, compile_kernels
+from plane_detector._runtime.stopping import Background
 from plane_detector.config import Config, NodeConfig
 from plane_detector.ros import parameters
-from plane_detector.stopping import Background
 
 
 def load_kernels(config: Config, log: Callable[[str], None]) -> None:

@@ -12,7 +12,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode
 from std_srvs.srv import Trigger
 
-from plane_detector.plain_text import plain
+from plane_detector._runtime.plain_text import plain
 from plane_detector.ros import qos
 from plane_detector.ros.fault_log import MOST_OF_FAILURE
 from plane_detector.ros.live_map import PERIOD_S, LiveMap

@@ -7,8 +7,8 @@ from __future__ import annotations
 import sys
 
 from plane_detector import PAGES
-from plane_detector.dependencies import explained_imports
-from plane_detector.ending import quiet_interrupt
+from plane_detector._runtime.dependencies import explained_imports
+from plane_detector._runtime.ending import quiet_interrupt
 
 USAGE = f"""\
 usage: ros2 run plane_detector node [--ros-args [-r FROM:=TO] [-p NAME:=VALUE]

@@ -15,10 +15,10 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
-from plane_detector.ending import end_process, stopped_by_signals
-from plane_detector.process import retain_freed_memory, use_one_thread
+from plane_detector._runtime.ending import end_process, stopped_by_signals
+from plane_detector._runtime.process import retain_freed_memory, use_one_thread
+from plane_detector._runtime.stopping import Stop
 from plane_detector.ros.fault_log import FaultLog
-from plane_detector.stopping import Stop
 
 _SPIN_S = 0.2
 # Time after which a thread gives the interpreter to one that waits for it. Every compiled loop

@@ -21,8 +21,8 @@ from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.task import Future
 
+from plane_detector._runtime.stopping import Background
 from plane_detector.ros.spinning import CannotRunError
-from plane_detector.stopping import Background
 
 Prepared = TypeVar('Prepared')
 # chosen: an unreachable host is tried again as often as a user would, then less and less often.

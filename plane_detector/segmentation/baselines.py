@@ -15,10 +15,11 @@ from typing import Any
 
 import numpy as np
 
+from plane_detector._runtime.process import one_thread
+from plane_detector._runtime.stopping import raise_if_stopped
 from plane_detector.config import Config, PaperConfig
 from plane_detector.geometry.disparity import to_depth, to_disparity, zero_filled
 from plane_detector.geometry.projection import depth_to_points
-from plane_detector.process import one_thread
 from plane_detector.segmentation.cells.grid import CellGrid, DisparityImage, build_cell_grid
 from plane_detector.segmentation.cells.labels import count_labels, relabel_sequential
 from plane_detector.segmentation.cells.model import MAX_DEVIATIONS, Frame
@@ -27,7 +28,6 @@ from plane_detector.segmentation.cells.pixel_regions import PixelRegions
 from plane_detector.segmentation.cells.plane_fit import fit_planes
 from plane_detector.segmentation.search.ransac import add_planes, no_planes
 from plane_detector.segmentation.segment import metric_noise_floor
-from plane_detector.stopping import raise_if_stopped
 from plane_detector.types import CameraIntrinsics
 
 

@@ -9,7 +9,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from plane_detector.compilation import kernel
+from plane_detector._runtime.compilation import kernel
 from plane_detector.segmentation.cells.grid import DisparityImage, build_cell_grid, pixel_frame
 from plane_detector.segmentation.cells.labels import at_borders
 from plane_detector.segmentation.cells.model import Frame

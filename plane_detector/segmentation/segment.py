@@ -14,9 +14,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from plane_detector._runtime.process import retain_freed_memory
 from plane_detector.config import Config
 from plane_detector.geometry.disparity import disparity_range, zero_filled
-from plane_detector.process import retain_freed_memory
 from plane_detector.segmentation.cells.grid import TYPICAL_LENS, DisparityImage, build_cell_grid
 from plane_detector.segmentation.cells.labels import rename_labels
 from plane_detector.segmentation.cells.model import MAX_DEVIATIONS, Frame, PlaneRegions

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from plane_detector.compilation import load_once
+from plane_detector._runtime.compilation import load_once
 from plane_detector.config import Config
 from plane_detector.segmentation.cells.pixel_regions import PixelRegions
 from plane_detector.shapes.fitting import (

@@ -21,7 +21,7 @@ from functools import cached_property
 
 import numpy as np
 
-from plane_detector.compilation import kernel
+from plane_detector._runtime.compilation import kernel
 from plane_detector.shapes.surface import (
     DEVIATIONS,
     FREEDOMS,

@@ -21,7 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from plane_detector.compilation import kernel
+from plane_detector._runtime.compilation import kernel
 from plane_detector.shapes.surface import (
     AXIS,
     DEVIATIONS,

@@ -24,7 +24,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from plane_detector.compilation import kernel
+from plane_detector._runtime.compilation import kernel
 from plane_detector.types import ShapeType
 
 POSITION, AXIS, RADIUS, HALF_ANGLE = np.s_[..., 0:3], np.s_[..., 3:6], np.s_[..., 6], np.s_[..., 7]

@@ -11,7 +11,7 @@ from functools import cached_property
 import cv2
 import numpy as np
 
-from plane_detector.compilation import kernel
+from plane_detector._runtime.compilation import kernel
 from plane_detector.geometry.robust import dilated
 from plane_detector.segmentation.cells.noise import CORRELATED_CELLS, Noise
 from plane_detector.shapes.fitting import FittedShape, Pixels, Silhouette, shape_residuals

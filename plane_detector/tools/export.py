@@ -21,8 +21,8 @@ import numpy as np
 import yaml
 
 from plane_detector import PAGES
+from plane_detector._runtime.ending import run_program
 from plane_detector.drawing import plane_colours
-from plane_detector.ending import run_program
 from plane_detector.mapping.map_file import SavedMap, read_map
 from plane_detector.mapping.map_plane import MapPlane, polygons_of, rectangles_of
 from plane_detector.types import PlaneClass

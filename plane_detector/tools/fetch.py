@@ -9,8 +9,8 @@ import sys
 from collections.abc import Sequence
 
 from plane_detector import PAGES
-from plane_detector.dependencies import explained_imports
-from plane_detector.ending import quiet_interrupt
+from plane_detector._runtime.dependencies import explained_imports
+from plane_detector._runtime.ending import quiet_interrupt
 
 with quiet_interrupt(), explained_imports():
     from plane_detector.config import DepthConfig

@@ -17,8 +17,8 @@ import tempfile
 from pathlib import Path
 
 from plane_detector import PAGES
-from plane_detector.dependencies import explained_imports
-from plane_detector.ending import INTERRUPTED, quiet_interrupt
+from plane_detector._runtime.dependencies import explained_imports
+from plane_detector._runtime.ending import INTERRUPTED, quiet_interrupt
 
 with quiet_interrupt(), explained_imports():
     import rclpy

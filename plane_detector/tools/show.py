@@ -17,8 +17,8 @@ from collections.abc import Iterable, Mapping
 from typing import TextIO
 
 from plane_detector import PAGES
-from plane_detector.dependencies import explained_imports
-from plane_detector.ending import quiet_interrupt
+from plane_detector._runtime.dependencies import explained_imports
+from plane_detector._runtime.ending import quiet_interrupt
 
 with quiet_interrupt(), explained_imports():
     import numpy as np
@@ -28,7 +28,7 @@ with quiet_interrupt(), explained_imports():
     from rclpy.node import Node
     from sensor_msgs.msg import PointCloud2
 
-    from plane_detector.plain_text import plain
+    from plane_detector._runtime.plain_text import plain
     from plane_detector.ros.inputs.synchronizer import stamp_text
     from plane_detector.ros.inputs.topic_watch import GRACE_S
     from plane_detector.ros.node import not_of_ros

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from plane_detector.compilation import kernel
+from plane_detector._runtime.compilation import kernel
 from plane_detector.types import Planes
 
 # Standard deviations of one plane in two images, apart from the motion of the camera: of the angle

@@ -19,6 +19,7 @@ import pytest
 from onnx_models import write_depth_network
 from zoo_helpers import CONTENT, ESCAPE, RAW, SHA256, files_in, put
 
+from plane_detector._runtime.stopping import Background, Stopped
 from plane_detector.config import DepthConfig
 from plane_detector.depth import download, networks, plausibility
 from plane_detector.depth.download import NpmSource, UrlSource
@@ -31,7 +32,6 @@ from plane_detector.depth.networks import (
     resolve,
 )
 from plane_detector.geometry.disparity import DEPTHS, UNITLESS
-from plane_detector.stopping import Background, Stopped
 from plane_detector.tools.fetch import main
 
 

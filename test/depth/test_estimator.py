@@ -13,13 +13,13 @@ from onnx_models import (
 )
 from slow_networks import HEIGHT, WIDTH, write_slow_network
 
+from plane_detector._runtime.stopping import Background, Stopped
 from plane_detector.config import DepthConfig
 from plane_detector.depth import onnx_session
 from plane_detector.depth.estimator import DepthEstimator
 from plane_detector.depth.networks import NETWORKS, default_cache_dir
 from plane_detector.depth.onnx_session import ProviderError, check_provider
 from plane_detector.evaluation.datasets import frames
-from plane_detector.stopping import Background, Stopped
 
 onnx = pytest.importorskip('onnx', reason='onnx, of the extra "test", is not installed')
 helper, FLOAT = onnx.helper, onnx.TensorProto.FLOAT

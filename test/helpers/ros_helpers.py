@@ -239,7 +239,7 @@ STARTED_S = 120.0
 # On a busy machine a node may take longer to end than it is given; its diagnostics come often.
 PATIENT = """
 import sys
-from plane_detector import ending
+from plane_detector._runtime import ending
 from plane_detector.ros import diagnostics
 ending.MOST_ENDING_S, diagnostics._PERIOD_S = 100.0, 0.25
 from plane_detector.ros.node import main

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import pytest
 from geometry_msgs.msg import PointStamped
 
-from plane_detector.plain_text import plain
+from plane_detector._runtime.plain_text import plain
 from plane_detector.ros import fault_log, point_query
 from plane_detector.ros.fault_log import FaultLog
 

@@ -18,8 +18,8 @@ from plane_detector.ros.inputs.synchronizer import Frame
 
 pytest.importorskip('rclpy')
 
+from plane_detector._runtime.stopping import current_stop, raise_if_stopped
 from plane_detector.ros.frame_worker import FrameWorker
-from plane_detector.stopping import current_stop, raise_if_stopped
 
 STUCK_S = 120.0
 

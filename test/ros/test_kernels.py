@@ -6,7 +6,7 @@ import sys
 
 import plane_detector.pipeline
 import plane_detector.ros.outputs.topics  # noqa: F401 - these bring the kernels
-from plane_detector import compilation
+from plane_detector._runtime import compilation
 
 
 def test_every_global_name_that_a_kernel_uses_is_part_of_the_digest():

@@ -20,7 +20,7 @@ PROGRAM = """
 import signal, sys, time
 import rclpy
 from rclpy.node import Node
-from plane_detector import ending
+from plane_detector._runtime import ending
 from plane_detector.ros.spinning import run
 
 def end():
@@ -46,7 +46,7 @@ run(make_node, [])
 STUCK_S = 120.0
 # Work in C++ that hears nothing, in a thread of its own or in that of the executor.
 LEFT_BEHIND = """
-from plane_detector.stopping import Background
+from plane_detector._runtime.stopping import Background
 Background(lambda: time.sleep(1000), 'deaf').wait(0.1)
 end()
 """

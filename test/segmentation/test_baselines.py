@@ -10,12 +10,12 @@ from cell_helpers import scored
 from sklearn.cluster import DBSCAN
 
 from plane_detector import CameraIntrinsics, Config, PlaneDetector, segment_planes
+from plane_detector._runtime.stopping import Background, Stopped
 from plane_detector.config import PaperConfig, SegmentationConfig
 from plane_detector.depth.observation import DepthFunction
 from plane_detector.evaluation.scenes.rendering import box, camera_rotation, rectangle, render
 from plane_detector.evaluation.scenes.rooms import single_wall
 from plane_detector.segmentation.baselines import paper_labels, point_clusters, ransac_alone
-from plane_detector.stopping import Background, Stopped
 
 SMALL = CameraIntrinsics(131.0, 131.0, 79.5, 59.5, 160, 120)
 PAPER = Config(segmentation=SegmentationConfig(method='paper'))

@@ -12,6 +12,7 @@ import numpy as np
 from tqdm import tqdm
 
 from plane_detector import Config, PlaneDetector
+from plane_detector._runtime.process import one_thread
 from plane_detector.config import DepthConfig, ScaleConfig
 from plane_detector.evaluation.benchmark.report import add_shared, at_least_one, emit, table
 from plane_detector.evaluation.scenes.rendering import camera_rotation
@@ -26,7 +27,6 @@ from plane_detector.evaluation.scenes.terrain import (
     noisy,
     terrain,
 )
-from plane_detector.process import one_thread
 from plane_detector.types import Detection
 
 NOISES: tuple[float | str, ...] = (0.0, 0.001, 0.004, 'kinect')

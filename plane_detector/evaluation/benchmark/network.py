@@ -12,10 +12,10 @@ from dataclasses import replace
 import numpy as np
 
 from plane_detector import Config, PlaneDetector
+from plane_detector._runtime.process import one_thread
 from plane_detector.config import DepthConfig
 from plane_detector.evaluation.benchmark.report import at_least_one, emit, table
 from plane_detector.evaluation.benchmark.samples import room
-from plane_detector.process import one_thread
 
 WARM_UP = 5
 

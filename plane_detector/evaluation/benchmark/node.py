@@ -36,12 +36,12 @@ from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import Header
 from tqdm import tqdm
 
+from plane_detector._runtime.process import retain_freed_memory
 from plane_detector.config import DepthConfig
 from plane_detector.depth.networks import resolve
 from plane_detector.evaluation.benchmark.report import HELD_OUT, add_shared, emit, table
 from plane_detector.evaluation.benchmark.samples import room
 from plane_detector.evaluation.datasets import Frame, frames
-from plane_detector.process import retain_freed_memory
 from plane_detector.ros.calibration import camera_info_to_msg
 from plane_detector.ros.outputs import messages
 from plane_detector.ros.outputs.topics import OUTPUTS

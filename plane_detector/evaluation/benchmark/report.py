@@ -18,7 +18,7 @@ import cv2
 import joblib
 from tqdm import tqdm
 
-from plane_detector.process import one_thread, use_one_thread
+from plane_detector._runtime.process import one_thread, use_one_thread
 
 PROGRAM = 'python3 -m plane_detector.evaluation.benchmark'
 HELD_OUT = 9000

@@ -11,11 +11,11 @@ import numpy as np
 from tqdm import tqdm
 
 from plane_detector import Config, PlaneDetector
+from plane_detector._runtime.process import one_thread
 from plane_detector.config import DepthConfig, ShapesConfig
 from plane_detector.evaluation.benchmark.report import add_shared, emit, table
 from plane_detector.evaluation.benchmark.samples import noisy_depth
 from plane_detector.evaluation.scenes.shapes import SeenShape, ShapeScene, shape_scene
-from plane_detector.process import one_thread
 from plane_detector.types import ShapeType
 
 SIGMAS = (0.0, 0.001, 0.004)

@@ -26,7 +26,7 @@ from pathlib import Path
 
 import numpy as np
 
-from plane_detector.compilation import compile_kernels
+from plane_detector._runtime.compilation import compile_kernels
 from plane_detector.depth.networks import NETWORKS, cached_path
 from plane_detector.evaluation.benchmark.report import (
     add_shared,

@@ -24,7 +24,8 @@ import cv2
 import numpy as np
 
 import plane_detector
-from plane_detector import PlaneDetector, compilation, segment_planes
+from plane_detector import PlaneDetector, segment_planes
+from plane_detector._runtime import compilation
 from plane_detector.config import NodeConfig
 from plane_detector.depth.observation import DepthFunction
 from plane_detector.evaluation.benchmark.relative import NOISE_SHARE, with_network_errors
@@ -169,7 +170,7 @@ def of_messages(draw: Draw) -> Values:
 
 # VmHWM: what getrusage says also counts the process that has started this one.
 _PEAK = """
-from plane_detector.process import use_one_thread
+from plane_detector._runtime.process import use_one_thread
 from plane_detector.evaluation.scores.cost import peak_scene
 use_one_thread()
 detector, scene, depth_m = peak_scene()
@@ -206,7 +207,7 @@ def compile_time(draw: Draw) -> Values:
     with tempfile.TemporaryDirectory() as folder:
         subprocess.run([sys.executable, '-c', (
             'import plane_detector.pipeline, plane_detector.mapping.plane_map\n'
-            'from plane_detector.compilation import _KERNELS, compile_kernels\n'
+            'from plane_detector._runtime.compilation import _KERNELS, compile_kernels\n'
             'compile_kernels({one.subject for one in _KERNELS})')], check=True,
             cwd=PACKAGE.parent, capture_output=True, env={
                 **os.environ, 'XDG_CACHE_HOME': folder, 'NUMBA_CACHE_DIR': folder})

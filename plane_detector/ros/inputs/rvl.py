@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from plane_detector.compilation import kernel
+from plane_detector._runtime.compilation import kernel
 
 _WORD_NIBBLES = 8
 _CONTINUES = 8  # bit of a nibble; the other three are of the number

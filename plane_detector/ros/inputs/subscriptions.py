@@ -19,9 +19,9 @@ from rclpy.subscription import Subscription
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, Imu, PointCloud2
 from std_msgs.msg import Header
 
+from plane_detector._runtime.plain_text import plain
 from plane_detector.config import Config, DepthConfig, NodeConfig
 from plane_detector.geometry.gravity import is_identity
-from plane_detector.plain_text import plain
 from plane_detector.ros.inputs.depth_decoding import COMPRESSED_DEPTH
 from plane_detector.ros.inputs.synchronizer import Frame, FrameSynchronizer, depth_use, ns_of
 from plane_detector.ros.inputs.topic_watch import (

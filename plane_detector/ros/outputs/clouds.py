@@ -14,7 +14,7 @@ import numpy as np
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header
 
-from plane_detector.compilation import kernel
+from plane_detector._runtime.compilation import kernel
 from plane_detector.drawing import tint
 from plane_detector.geometry.disparity import MIN_DEPTH_M
 from plane_detector.geometry.projection import pixel_rays

@@ -17,7 +17,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from plane_detector.compilation import kernel
+from plane_detector._runtime.compilation import kernel
 from plane_detector.geometry.disparity import to_disparity, zero_filled
 from plane_detector.segmentation.cells.grid import DisparityImage, build_cell_grid
 from plane_detector.segmentation.cells.noise import Noise, estimate_noise

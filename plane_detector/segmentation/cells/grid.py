@@ -15,7 +15,7 @@ from functools import cached_property
 
 import numpy as np
 
-from plane_detector.compilation import kernel
+from plane_detector._runtime.compilation import kernel
 from plane_detector.geometry.robust import median
 from plane_detector.segmentation.cells.plane_fit import (
     DD,

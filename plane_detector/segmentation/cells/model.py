@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-from plane_detector.compilation import kernel
+from plane_detector._runtime.compilation import kernel
 from plane_detector.config import Config
 from plane_detector.segmentation.cells.grid import CellGrid, DisparityImage
 from plane_detector.segmentation.cells.labels import relabel_sequential

@@ -29,7 +29,7 @@ from statistics import NormalDist
 
 import numpy as np
 
-from plane_detector.compilation import kernel
+from plane_detector._runtime.compilation import kernel
 from plane_detector.geometry.robust import median, order_statistics
 from plane_detector.segmentation.cells.grid import CellGrid, DisparityImage
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from plane_detector.compilation import kernel
+from plane_detector._runtime.compilation import kernel
 
 # derived: columns of moments, sums over pixels of 1, x, y, xx, xy, yy, d, xd, yd and dd.
 N, X, Y, XX, XY, YY, D, XD, YD, DD = range(10)

@@ -29,7 +29,7 @@ from functools import cached_property
 import cv2
 import numpy as np
 
-from plane_detector.compilation import kernel
+from plane_detector._runtime.compilation import kernel
 from plane_detector.geometry.robust import median
 from plane_detector.segmentation.cells.labels import at_borders
 from plane_detector.segmentation.cells.noise import Noise

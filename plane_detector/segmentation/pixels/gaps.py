@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from plane_detector.compilation import kernel
+from plane_detector._runtime.compilation import kernel
 from plane_detector.segmentation.cells.grid import CellGrid, DisparityImage
 from plane_detector.segmentation.cells.plane_fit import normal_of
 

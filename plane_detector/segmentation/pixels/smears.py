@@ -15,7 +15,7 @@ import math
 
 import numpy as np
 
-from plane_detector.compilation import kernel
+from plane_detector._runtime.compilation import kernel
 from plane_detector.segmentation.cells.grid import CellGrid, DisparityImage
 
 # Angle at which a surface is seen, at most, and width of the ramp.

@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from plane_detector.compilation import kernel
+from plane_detector._runtime.compilation import kernel
 from plane_detector.config import DbscanConfig
 from plane_detector.segmentation.cells.labels import at_borders
 from plane_detector.segmentation.cells.model import (

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from plane_detector.compilation import kernel
+from plane_detector._runtime.compilation import kernel
 from plane_detector.segmentation.cells.model import MAX_DEVIATIONS, MIN_VARIANCE
 from plane_detector.segmentation.cells.noise_correlation import Correlation
 from plane_detector.segmentation.cells.plane_fit import (

@@ -29,7 +29,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from plane_detector.compilation import kernel
+from plane_detector._runtime.compilation import kernel
 from plane_detector.config import SegmentationConfig
 from plane_detector.segmentation.cells.model import (
     MAX_DEVIATIONS,

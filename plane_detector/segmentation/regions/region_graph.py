@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from plane_detector.compilation import kernel
+from plane_detector._runtime.compilation import kernel
 from plane_detector.segmentation.cells.labels import relabel_sequential
 from plane_detector.segmentation.cells.model import (
     MEAN_D,

@@ -15,7 +15,7 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
-from plane_detector.compilation import kernel
+from plane_detector._runtime.compilation import kernel
 from plane_detector.config import DbscanConfig
 
 # Type of kernels' arguments: steps to the neighbours in a flat grid, and how many of them, itself

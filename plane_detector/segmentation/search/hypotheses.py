@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from plane_detector.compilation import kernel
+from plane_detector._runtime.compilation import kernel
 from plane_detector.segmentation.cells.model import (
     MAX_JOINT_VARIANCES,
     MEAN_D,

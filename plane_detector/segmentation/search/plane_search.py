@@ -21,7 +21,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from plane_detector.compilation import kernel
+from plane_detector._runtime.compilation import kernel
 from plane_detector.geometry.robust import SIGMA_PER_MEDIAN, median
 from plane_detector.segmentation.cells.grid import CellGrid
 from plane_detector.segmentation.cells.model import (

@@ -16,7 +16,8 @@ import math
 
 import numpy as np
 
-from plane_detector.compilation import kernel
+from plane_detector._runtime.compilation import kernel
+from plane_detector._runtime.stopping import raise_if_stopped
 from plane_detector.segmentation.cells.grid import CellGrid
 from plane_detector.segmentation.cells.model import (
     MAX_DEVIATIONS,
@@ -39,7 +40,6 @@ from plane_detector.segmentation.search.hypotheses import (
     draw_planes,
     supported,
 )
-from plane_detector.stopping import raise_if_stopped
 
 # One draw finds a plane with this share of the free cells with this probability.
 # tuned: on rooms, lived-in rooms and real frames; flat from 0.05 to 0.1 at a probability of .99.

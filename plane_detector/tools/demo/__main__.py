@@ -16,8 +16,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from plane_detector.dependencies import explained_imports, explanation
-from plane_detector.ending import quiet_interrupt, run_program, until_signal
+from plane_detector._runtime.dependencies import explained_imports, explanation
+from plane_detector._runtime.ending import quiet_interrupt, run_program, until_signal
 
 with quiet_interrupt(), explained_imports('numba', 'scipy'):
     import cv2

@@ -20,12 +20,12 @@ from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
+from plane_detector._runtime.stopping import raise_if_stopped
 from plane_detector.ros.calibration import camera_info_to_msg
 from plane_detector.ros.detector_node import PlaneDetectorNode
 from plane_detector.ros.inputs.depth_decoding import depth_from_msg
 from plane_detector.ros.outputs.messages import depth_to_msg, read_cloud, rgb_to_msg
 from plane_detector.scale.estimate import RELATIVE
-from plane_detector.stopping import raise_if_stopped
 from plane_detector.tools.demo.photographs import Photograph
 from plane_detector.tools.private_domain import private_domain
 

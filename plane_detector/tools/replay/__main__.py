@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from plane_detector import PAGES
-from plane_detector.dependencies import explained_imports
-from plane_detector.ending import (
+from plane_detector._runtime.dependencies import explained_imports
+from plane_detector._runtime.ending import (
     FAILED,
     INTERRUPTED,
     end_process,

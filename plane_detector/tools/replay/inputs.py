@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, Imu, PointCloud2
 
+from plane_detector._runtime.stopping import raise_if_stopped
 from plane_detector.config import Config, NodeConfig
 from plane_detector.geometry.gravity import is_identity
 from plane_detector.ros.calibration import image_size
@@ -25,7 +26,6 @@ from plane_detector.ros.inputs.depth_decoding import (
 from plane_detector.ros.inputs.image_decoding import DEPTH_ENCODINGS
 from plane_detector.ros.inputs.synchronizer import Frame, FrameSynchronizer, ns_of
 from plane_detector.ros.inputs.transforms import FrameTransforms, TransformBuffer
-from plane_detector.stopping import raise_if_stopped
 from plane_detector.tools.replay.bag_reader import BagError, BagReader, Recorded, Topic, to_message
 from plane_detector.tools.replay.options import ReplayOptions
 from plane_detector.tools.replay.writer import BagWriter

@@ -19,7 +19,7 @@ from pathlib import Path
 
 import joblib
 
-from plane_detector.process import one_thread
+from plane_detector._runtime.process import one_thread
 from plane_detector.tools.replay.bag_reader import FILE_SUFFIXES, BagError, bag_name
 from plane_detector.tools.replay.options import ReplayOptions
 from plane_detector.tools.replay.replay_bag import replay

@@ -18,10 +18,11 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from std_msgs.msg import Header
 from tqdm import tqdm
 
+from plane_detector._runtime.plain_text import plain
+from plane_detector._runtime.stopping import Stopped
 from plane_detector.config import Config, DepthConfig
 from plane_detector.depth.estimator import DepthEstimator
 from plane_detector.pipeline import PlaneDetector
-from plane_detector.plain_text import plain
 from plane_detector.ros.diagnostics import (
     Report,
     missing_for_classes,
@@ -35,7 +36,6 @@ from plane_detector.ros.live_map import LiveMap
 from plane_detector.ros.live_settings import load_kernels
 from plane_detector.ros.outputs.frame import DetectedFrame
 from plane_detector.ros.outputs.topics import MAP_OUTPUTS, OUTPUTS, make_map_messages
-from plane_detector.stopping import Stopped
 from plane_detector.tools.replay.bag_reader import BagError, BagReader
 from plane_detector.tools.replay.inputs import (
     CopiedMessages,
@@ -182,8 +182,8 @@ def replay(options: ReplayOptions, quiet: bool = False) -> Tally:
     Replay a bag.
 
     The new bag gets its name when it is whole. If the work is stopped
-    (:mod:`plane_detector.stopping`), the bag of the frames so far gets the prefix `INTERRUPTED`.
-    ``quiet`` prints neither the source of depth nor the progress.
+    (`plane_detector._runtime.stopping`), the bag of the frames so far gets the prefix
+    `INTERRUPTED`. ``quiet`` prints neither the source of depth nor the progress.
 
     Raises
     ------

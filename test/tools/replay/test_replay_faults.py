@@ -27,7 +27,7 @@ ROOT = Path(__file__).resolve().parents[3]
 # Runs replay with FrameProcessor.process replaced: some code is run before the third frame.
 SCRIPT = """
 import os, signal, sys, threading, time
-from plane_detector import ending
+from plane_detector._runtime import ending
 ending.MOST_ENDING_S = 60.0  # the whole bag, however busy the machine is
 from plane_detector.ros.frame_processor import FrameProcessor
 process, seen = FrameProcessor.process, []

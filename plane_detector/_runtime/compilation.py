@@ -39,7 +39,7 @@ from pathlib import Path
 from types import FunctionType
 from typing import Any
 
-from plane_detector.stopping import raise_if_stopped
+from plane_detector._runtime.stopping import raise_if_stopped
 
 # chosen: more processes need 150 MB each and wait for the longest kernel anyway.
 MOST_PROCESSES = 6
@@ -53,7 +53,7 @@ _UNUSED_S = 30 * 24 * 3600.0
 _HELPER = """
 import os, sys
 sys.path[:] = sys.argv[1].split(os.pathsep)
-from plane_detector.compilation import help_parent
+from plane_detector._runtime.compilation import help_parent
 help_parent(int(sys.argv[2]), set(sys.argv[3].split()), sys.argv[4:])
 """
 _KERNELS: list[Kernel] = []
@@ -286,7 +286,7 @@ def _compile_in_processes(kernels: list[Kernel], log: Callable[[str], None]) -> 
     os.write(end, bytes(range(len(modules))))
     os.close(end)
     # This package first, wherever the program that uses it has found it.
-    search_path = os.pathsep.join([str(Path(__file__).parents[1]), *filter(None, sys.path)])
+    search_path = os.pathsep.join([str(Path(__file__).parents[2]), *filter(None, sys.path)])
     command = [python, '-I', *(['-B'] if sys.dont_write_bytecode else []), '-c', _HELPER,
                search_path, str(os.getpid()), ' '.join({one.subject for one in kernels}), *modules]
     # Numba would mark up each of the 50000 types that it tries in vain.

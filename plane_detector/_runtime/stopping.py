@@ -5,7 +5,7 @@ Work that another thread can stop.
 
 Python cannot end a thread. Long work therefore runs under a `Stop`, and either checks it between
 its steps (`raise_if_stopped`) or registers a callback that interrupts it (`Stop.calling`). C++
-code that does neither keeps running; :mod:`plane_detector.ending` ends its process.
+code that does neither keeps running; :mod:`plane_detector._runtime.ending` ends its process.
 """
 
 from __future__ import annotations

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from plane_detector.ending import run_program
-from plane_detector.stopping import Stop, Stopped, raise_if_stopped
+from plane_detector._runtime.ending import run_program
+from plane_detector._runtime.stopping import Stop, Stopped, raise_if_stopped
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 STUCK_S = 120.0
 
 
@@ -65,9 +65,9 @@ def test_an_uncut_block_is_completed_before_the_stop():
 def test_a_process_exits_despite_work_that_ignores_the_stop(work):
     program = f"""
 import sys, time
-from plane_detector.ending import leave
-from plane_detector.ending import run_program
-from plane_detector.stopping import Background
+from plane_detector._runtime.ending import leave
+from plane_detector._runtime.ending import run_program
+from plane_detector._runtime.stopping import Background
 call = Background(lambda: {work}, 'work')
 call.wait(0.2)
 print('whole', end='')
@@ -83,7 +83,7 @@ def test_a_signal_ends_a_program_whose_main_thread_hears_nothing(ignored):
     """But not one that is ignored, as SIGINT under nohup."""
     program = f"""
 import signal, time
-from plane_detector import ending
+from plane_detector._runtime import ending
 ending.MOST_ENDING_S = 0.1
 signal.signal(signal.SIGINT, signal.SIG_IGN if {ignored} else signal.default_int_handler)
 
@@ -105,7 +105,7 @@ def test_a_process_whose_interpreter_hangs_ends_after_a_signal(number):
     """An endless loop in C keeps the interpreter's lock: no handler and no other thread runs."""
     program = """
 import collections, itertools
-from plane_detector import ending
+from plane_detector._runtime import ending
 ending.MOST_ENDING_S = ending.KILLED_LATER_S = 0.5
 
 def work():
@@ -130,8 +130,8 @@ def test_slow_work_that_heeds_the_signal_ends_by_itself():
     """It takes longer than the guard waits, without a signal; then it ends, and the guard too."""
     program = """
 import os, time
-from plane_detector import ending
-from plane_detector.stopping import raise_if_stopped, Stopped
+from plane_detector._runtime import ending
+from plane_detector._runtime.stopping import raise_if_stopped, Stopped
 ending.MOST_ENDING_S, ending.KILLED_LATER_S = 3.0, 0.0
 
 def work():

@@ -12,11 +12,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from plane_detector import Config, PlaneDetector, compilation
+from plane_detector import Config, PlaneDetector
+from plane_detector._runtime import compilation
 from plane_detector.config import DepthConfig
 
 SAMPLE = """
-from plane_detector.compilation import compile_kernels, kernel
+from plane_detector._runtime.compilation import compile_kernels, kernel
 from sample.stage.columns import COLUMN
 from sample.stage.parts import part
 @kernel('f8(f8[:])')
@@ -27,16 +28,16 @@ def halved(value):
     return value / 2
 """
 PART = """
-from plane_detector.compilation import kernel
+from plane_detector._runtime.compilation import kernel
 @kernel('f8(f8)')
 def part(value):
     return value {sign} 1
 """
 RUN = """
 import sys
-from plane_detector import compilation
+from plane_detector._runtime import compilation
 {before}
-from plane_detector.compilation import compile_kernels
+from plane_detector._runtime.compilation import compile_kernels
 import numpy as np, sample.stage.loops
 compile_kernels(['stage'], print)
 print(sample.stage.loops.picked(np.array([10.0, 20.0])))

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from plane_detector.dependencies import REMEDIES
+from plane_detector._runtime.dependencies import REMEDIES
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 
 
 def plain(name):

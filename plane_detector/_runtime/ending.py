@@ -23,8 +23,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import NoReturn, TypeVar
 
-from plane_detector.plain_text import plain
-from plane_detector.stopping import Background, Stop, Stopped
+from plane_detector._runtime.plain_text import plain
+from plane_detector._runtime.stopping import Background, Stop, Stopped
 
 Result = TypeVar('Result')
 FAILED, INTERRUPTED = 1, 130

@@ -12,14 +12,14 @@ import cv2
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from plane_detector.process import one_thread
+from plane_detector._runtime.process import one_thread
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 FRAMES, ARRAYS = 20, 30
 PROGRAM = f"""
 import resource, sys, threading
 import numpy as np
-from plane_detector.process import retain_freed_memory
+from plane_detector._runtime.process import retain_freed_memory
 
 def faults():
     return resource.getrusage(resource.RUSAGE_SELF).ru_minflt
