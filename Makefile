@@ -4,7 +4,7 @@
 # make demo                      planes in photographs, through the real node -> demo_output/
 # make demo IMAGES=folder FX=..  the same for your images (FX FY CX CY in pixels, or FOV in degrees)
 # make test                      the tests
-# make lint                      ruff
+# make lint                      ruff, codespell
 # make faults                    fault injection, results as a table; SOAK_MINUTES=20 adds a long run
 # make benchmark                 the tables of docs/results.md (ARGS='labelled --frames')
 # make scores                    one table of every front, against its floors (ARGS='--only colour')
@@ -44,6 +44,7 @@ endif
 
 lint: $(STAMP)
 	@$(RUN) -m ruff check .
+	@$(RUN) -m codespell_lib $(shell git ls-files "*.py" "*.md" "*.rst" "*.yaml" 2>/dev/null)
 
 faults: $(STAMP)
 	@PYTHONPATH=.:test/helpers $(RUN) test/faults/run.py $(ARGS) \

@@ -74,7 +74,10 @@ def imports_of_package(path: Path) -> set[str]:
 
 
 def rank(layers: tuple[tuple[str, ...], ...], room: str) -> int:
-    return next(k for k, rooms in enumerate(layers) if room in rooms)
+    ranks = [k for k, rooms in enumerate(layers) if room in rooms]
+    table = 'LAYERS' if layers is LAYERS else 'SEGMENTATION_LAYERS'
+    assert ranks, f'{room} has no layer: add it to {table} in {Path(__file__).name}'
+    return ranks[0]
 
 
 def may_import(importer: str, imported: str) -> bool:
