@@ -190,7 +190,9 @@ def measured_there(options: argparse.Namespace, folder: Path, seed: int, group: 
         str(options.cases.resolve()), '--processes', str(options.processes)],
         cwd=folder, capture_output=True, text=True)
     if not result.is_file():
-        raise RuntimeError(f'{group} at {options.against}: {run.stderr.strip()[-300:]}')
+        last = run.stderr.strip().rpartition('\n')[2]
+        sys.exit(f'scores: the fronts of {group} cannot be measured at {options.against}: {last}. '
+                 'If it lacks what this program imports, run its own in a worktree of it.')
     rows = load(result)
     result.unlink()
     return rows
