@@ -94,7 +94,7 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
          'the ratio of local noise is not passed on')),
     'segmentation/cells/noise_correlation.py': (
         ('residuals[i] -= quadric', 'residuals[i] += quadric', 'bows are added'),),
-    'segmentation/search/hypotheses.py': (
+    'segmentation/search/ransac.py': (
         ('return planes[:n], share', 'return planes[:n], 0.0', 'the same windows in each round'),),
     'segmentation/regions/depth_steps.py': (
         ('2 * count[row, column] >=', '9 * count[row, column] >=',
