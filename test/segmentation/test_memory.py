@@ -166,8 +166,9 @@ def test_a_wrong_memory_is_forgotten_within_so_many_images(error, images):
     else:
         wrong = next_labels(NO_MEMORY, noisy([room(303)])[0])[1]
     last, truth = labels_of(depths[1:], wrong)[images:], room().labels
+    alone = [single(depth_m) for depth_m in depths[images + 1:]]
     assert (np.mean([likeness(truth, labels) for labels in last])
-            > np.mean([likeness(truth, single(depth_m)) for depth_m in depths[images + 1:]]) - 0.02)
+            > np.mean([likeness(truth, labels) for labels in alone]) - 0.02)
 
 
 def test_evidence_is_that_of_a_pair_and_counts_once_an_image():
