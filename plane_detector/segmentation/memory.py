@@ -20,6 +20,7 @@ from enum import IntEnum
 
 import numpy as np
 
+from plane_detector._runtime.compilation import kernel
 from plane_detector.segmentation.cells.grid import CellGrid
 from plane_detector.segmentation.cells.model import MEAN_D, MEAN_WEIGHT, WeightedCells, add_up
 from plane_detector.segmentation.cells.plane_fit import fit_planes
@@ -133,8 +134,9 @@ class Recall:
         is_two = statistic > 1
         if self.is_empty or not (is_two or touches):
             return is_two
-        one, other = self._pieces(labels, pair)
-        if one < 0:
+        one, other = _pieces(np.ascontiguousarray(labels), self._memory.labels, self._has_changed,
+                             len(self._memory.planes), (int(pair[0]), int(pair[1])))
+        if min(one, other) < 0:
             return is_two
         at, evidence = (decision, one, other), math.log(max(statistic, 1e-9), CLEAR)
         planes = self._memory.planes
@@ -198,16 +200,23 @@ class Recall:
         return np.bincount(((labels + 1) * stride + self._memory.labels + 1).reshape(-1),
                            minlength=(count + 1) * stride).reshape(-1, stride)[1:]
 
-    def _pieces(self, labels: np.ndarray, pair: tuple[int, int]) -> tuple[int, int]:
-        """Return the pieces that two regions were, (-1, -1) if one was none or has changed."""
-        small, large = sorted((labels == region for region in pair), key=np.count_nonzero)
-        if 2 * np.count_nonzero(self._has_changed[small]) > np.count_nonzero(small):
-            return -1, -1
-        one, other = self._piece(small), self._piece(large)
-        return (one, other) if min(one, other) >= 0 else (-1, -1)
 
-    def _piece(self, is_inside: np.ndarray) -> int:
-        """Return the piece that most of some cells (R, C) bool belonged to, -1 if none."""
-        counts = np.bincount(self._memory.labels[is_inside] + 1, minlength=1)
-        most = int(counts.argmax())
-        return most - 1 if 2 * counts[most] > counts.sum() else -1
+@kernel('UniTuple(int64, 2)(int32[:, ::1], int32[:, ::1], boolean[:, ::1], int64, '
+        'UniTuple(int64, 2))', is_short=True)
+def _pieces(labels, last, has_changed, count, pair):
+    """Return the pieces that most of two regions were; -1 if none, or the smaller has changed."""
+    shared, changed = np.zeros((2, count + 1), np.int64), np.zeros(2, np.int64)
+    for row in range(labels.shape[0]):
+        for column in range(labels.shape[1]):
+            label = labels[row, column]
+            if label == pair[0] or label == pair[1]:
+                side = int(label == pair[1])
+                shared[side, last[row, column] + 1] += 1
+                changed[side] += has_changed[row, column]
+    one, other = shared[0].argmax(), shared[1].argmax()
+    of_one, of_other = shared[0].sum(), shared[1].sum()
+    small = int(of_other < of_one)
+    if (2 * changed[small] > min(of_one, of_other) or 2 * shared[0, one] <= of_one
+            or 2 * shared[1, other] <= of_other):
+        return -1, -1
+    return one - 1, other - 1
