@@ -135,26 +135,79 @@ def test_what_comes_is_there_in_the_first_image_and_gone_within_two(height_m):
     assert not is_apart(found[10])
 
 
-@pytest.mark.parametrize('error', ['one plane', 'curved', 'cut', 'shifted', 'another scene'])
-def test_a_wrong_memory_is_forgotten(error):
-    depths = noisy([room()] * 8, sigma=0.002)
+def remembered(memory, labels, planes):
+    """Return a memory of other pieces, without evidence."""
+    empty = np.zeros((len(memory.evidence), len(planes), len(planes)))
+    return replace(memory, labels=labels, planes=planes, evidence=empty, images=empty.astype(int))
+
+
+@pytest.mark.parametrize(('error', 'images'), [
+    ('one plane', 1), ('curved', 1), ('cut', 1), ('shifted', 1), ('shifted by a row', 1),
+    ('another scene', 1), ('evidence', 10)])
+def test_a_wrong_memory_is_forgotten_within_so_many_images(error, images):
+    depths = noisy([room()] * (images + 7), sigma=0.002)
     _, memory = next_labels(NO_MEMORY, depths[0])
     labels, planes = memory.labels, memory.planes
     if error == 'one plane':
-        wrong = replace(memory, labels=np.minimum(labels, 0), planes=planes[:1])
+        wrong = remembered(memory, np.minimum(labels, 0), planes[:1])
     elif error == 'curved':
         wrong = replace(memory, planes=np.full_like(planes, -1))
     elif error == 'cut':
         rows, columns = np.indices(labels.shape)
         pieces = (rows // 8 * 20 + columns // 8).astype(np.int32)
-        wrong = replace(memory, labels=pieces, planes=np.arange(pieces.max() + 1))
+        wrong = remembered(memory, pieces, np.arange(pieces.max() + 1))
     elif error == 'shifted':
         wrong = replace(memory, labels=np.roll(labels, (6, 12), (0, 1)))
+    elif error == 'shifted by a row':
+        wrong = replace(memory, labels=np.roll(labels, 1, 0))
+    elif error == 'evidence':  # for two planes everywhere, of the most images
+        wrong = replace(memory, evidence=np.ones_like(memory.evidence),
+                        images=np.full_like(memory.images, 10))
     else:
         wrong = next_labels(NO_MEMORY, noisy([room(303)])[0])[1]
-    last = labels_of(depths[1:], wrong)[-1]
-    truth = room().labels
-    assert likeness(truth, last) > likeness(truth, single(depths[-1])) - 0.02
+    last, truth = labels_of(depths[1:], wrong)[images:], room().labels
+    alone = [single(depth_m) for depth_m in depths[images + 1:]]
+    assert (np.mean([likeness(truth, labels) for labels in last])
+            > np.mean([likeness(truth, labels) for labels in alone]) - 0.02)
+
+
+def test_evidence_is_that_of_a_pair_and_counts_once_an_image():
+    depths = noisy([room()] * 4, sigma=0.01)
+    memory, images = NO_MEMORY, []
+    for depth_m in depths:
+        _, memory = next_labels(memory, depth_m)
+        np.testing.assert_array_equal(memory.evidence, memory.evidence.transpose(0, 2, 1))
+        assert (abs(memory.evidence) <= 1).all()
+        images.append(memory.images.max(initial=0))
+    # The decision of the first image counts as one.
+    assert images == [0, 2, 3, 4]
+
+
+@cache
+def floor(*boxes):
+    """Return a room from 1.2 m above its floor, and boxes (x, height) on the floor."""
+    surfaces = box([0, 0, 1.25], [4, 5, 2.5])
+    for x, height in boxes:
+        surfaces += box([x, 0.9, height / 2], [0.4, 0.3, height], 10)
+    return render(surfaces, camera_rotation(0, -25, 0), np.array([0, -1.0, 1.2]), CAMERA,
+                  np.random.default_rng(0))
+
+
+def test_an_obstacle_is_published_in_the_first_image_that_shows_it_and_gone_in_the_first_without():
+    empty, full = floor(), floor((0.1, 0.25))
+    inside = full.labels >= len(empty.planes)
+    was_floor = inside & (full.depth_m < empty.depth_m - 0.1)
+    depths, shares = noisy([empty] * 4 + [full] * 2 + [empty] * 2, sigma=0.001), []
+    detector, black = PlaneDetector(DEPTH), np.zeros((CAMERA.height, CAMERA.width, 3), np.uint8)
+    for k, depth_m in enumerate(depths):
+        found = detector.detect(black, CAMERA, depth_m, full.gravity_camera, stamp_s=k / 30,
+                                camera_height_m=1.2)
+        shares.append((found.obstacles[was_floor].mean(), found.ground[was_floor].mean()))
+    assert np.mean(was_floor) > 0.01
+    for obstacle, on_ground in shares[4:6]:
+        assert obstacle > 0.9 and on_ground < 0.1
+    for obstacle, on_ground in shares[:4] + shares[6:]:
+        assert obstacle < 0.1 and on_ground > 0.9
 
 
 def test_a_memory_of_another_size_or_lens_does_not_count():

@@ -53,7 +53,7 @@ from plane_detector.segmentation.cells.plane_fit import (
     normal_of,
     squared_error,
 )
-from plane_detector.segmentation.memory import Decision, Recall
+from plane_detector.segmentation.memory import CLEAR, Decision, Recall
 from plane_detector.segmentation.regions.curved import MAX_RATIO, MIN_NOISE_SHARE, fit_quadric
 from plane_detector.segmentation.regions.model_selection import MAX_CELLS, prefer_two_planes
 from plane_detector.segmentation.regions.region_graph import (
@@ -154,13 +154,18 @@ def merge_coplanar(cells: WeightedCells, graph: RegionGraph,
         touches = graph.borders[i, j, 0] > 0
         if recall and recall.is_two(Decision.MISFIT, misfit, graph.labels, (i, j), touches):
             return True
-        if not touches and (
+        if not touches:
+            is_two = (
                 (correlation and _folds(graph.planes, graph.sums, graph.lens, (i, j), unshared))
                 or not _is_hidden_between(graph.labels, cells.table, cells.is_planar, graph.sums,
                                           (i, j))
                 or (correlation and _gain_of_two(graph.planes, graph.sums, (i, j))
-                    * cells.least_variance > MIN_HIDDEN_GAIN * correlation.density)):
-            return True
+                    * cells.least_variance > MIN_HIDDEN_GAIN * correlation.density))
+            if recall:
+                is_two = recall.is_two(Decision.HIDDEN, CLEAR if is_two else 1 / CLEAR,
+                                       graph.labels, (i, j))
+            if is_two:
+                return True
         return prefer_two_planes(cells, graph.labels, correlation, i, j, recall)
 
     for min_pairs in (1, 0):  # neighbours first
