@@ -300,10 +300,13 @@ class PlaneDetector:
         with timer('ground'):
             # 5. Own floor, ramps, obstacles and drops, if angles are true and gravity is known.
             gravity = around.gravity if scale.has_true_angles else NO_GRAVITY
-            ground = find_ground(planes, depth_m, seen.intrinsics, gravity, config, state.reach,
-                                 is_metric=scale.is_metric, doubt=seen.doubt)
+            ground = find_ground(_with_facets(planes, valid, seen.intrinsics, config), depth_m,
+                                 seen.intrinsics, gravity, config, state.reach,
+                                 plane_count=len(planes.planes), is_metric=scale.is_metric,
+                                 doubt=seen.doubt)
             state.reach = ground.reach
-            planes = replace(planes, planes=replace(planes.planes, classes=ground.classes))
+            planes = replace(planes, planes=replace(
+                planes.planes, classes=ground.classes[:len(planes.planes)]))
         with timer('tracking'):
             # 6. Labels that are stable from image to image.
             planes = state.tracker.update(planes, config.tracking)
@@ -513,3 +516,13 @@ def _measured_planes(regions: PixelRegions, intrinsics: CameraIntrinsics, config
     return PlaneSegmentation(*found, regions.noise.mean_sigma,
                              systematic_noise=regions.noise.systematic_sigma,
                              plane_note=missing_planes_note(regions, found[1], min_pixels))
+
+
+def _with_facets(planes: PlaneSegmentation, regions: PixelRegions, intrinsics: CameraIntrinsics,
+                 config: Config) -> PlaneSegmentation:
+    """Return the planes followed by the pieces of curved surfaces: a robot stands on these too."""
+    if not regions.facets.size:
+        return planes
+    facets = _measured_planes(regions.of_facets(), intrinsics, config)
+    return replace(planes, planes=planes.planes.followed_by(facets.planes), labels=np.where(
+        facets.labels >= 0, facets.labels + np.int32(len(planes.planes)), planes.labels))

@@ -15,7 +15,7 @@ Planes give the levels and slopes, pixels what lies on them. The steps, as in `g
    along their common border in the image; across a step or a jump in depth they have not. Pieces
    of one level join even if something stands between them, and pieces of a floor that a sensor
    bends by less than ``min_height``. Lower levels are ground too: they are no obstacle, the edge
-   before them is a drop.
+   before them is a drop. The pieces of a curved surface join as planes do.
 4. Pixels: each way is followed away from the robot. The ground seen last is the reference of the
    pixels behind it: a pixel that stands off it by less than ``min_height``, or by less than its
    error, is ground. So is one without a plane to which the way leads without a step: what is

@@ -32,6 +32,7 @@ from plane_detector.planes.classification import (
     classify_planes,
     refine_gravity,
 )
+from plane_detector.segmentation.cells.labels import rename_labels
 from plane_detector.types import (
     OBSTACLE_DISTANCES_M,
     CameraIntrinsics,
@@ -389,7 +390,7 @@ def _is_ragged(last: np.ndarray, following: np.ndarray, depth_m: np.ndarray,
 
 def find_ground(found: PlaneSegmentation, depth_m: np.ndarray, intrinsics: CameraIntrinsics,
                 gravity: Gravity, config: Config, reach: SensorReach = NO_REACH, *,
-                is_metric: bool = True, doubt: str = '') -> Ground:
+                plane_count: int | None = None, is_metric: bool = True, doubt: str = '') -> Ground:
     """
     Find the ground of an image.
 
@@ -405,6 +406,8 @@ def find_ground(found: PlaneSegmentation, depth_m: np.ndarray, intrinsics: Camer
         Its ``ground``, ``scale.camera_height`` and ``depth.max_range``.
     reach : SensorReach
         Of the images of the stream before.
+    plane_count : int, optional
+        Those behind so many are no planes, but pieces of curved surfaces. Default: none are.
     is_metric : bool
         Whether lengths are in metres. If not, the camera is taken to be 1 m above the floor for
         the classes, and there are neither ground nor drops, nor steps.
@@ -431,7 +434,7 @@ def find_ground(found: PlaneSegmentation, depth_m: np.ndarray, intrinsics: Camer
         depth_m, labels = without_box(depth_m, labels, *rays,
                                       np.array(limits.ignore_box, np.float32))
     ways = _ways(intrinsics, *np.round(gravity.gravity_camera / WAY_STEP).tolist())
-    down, own = own_floor(found, labels, ways, gravity, limits.max_slope, known_m)
+    down, own = own_floor(found, labels, ways, gravity, limits.max_slope, known_m, plane_count)
     rough_m = 0.0
     if gravity.is_sure and is_metric and not known_m:
         rough_m = _rough_floor(depth_m, labels, rays, gravity.gravity_camera, limits.min_height)
@@ -489,9 +492,17 @@ def find_ground(found: PlaneSegmentation, depth_m: np.ndarray, intrinsics: Camer
         doubt = f'the floor {TOLD_AT_M:g} m away may be {error_m:.2f} m off'
     if not doubt and own == len(found.planes):
         doubt = _unseen(depth_m, labels, rays, surfaces, known_m, walkable)
-    pixels = replace(pixels, is_ground=joined | lower, own=own, doubt=doubt)
-    return Ground(classes, pixels, reach, height_m, tilt_deg, _mounting(
-        found, labels, ways, gravity, config, own))
+    is_ground = joined | lower
+    if plane_count is not None and plane_count < len(found.planes):
+        # What is no ground, is judged pixel by pixel as all that is no plane.
+        names = np.arange(len(found.planes))
+        names[plane_count:][~is_ground[plane_count:-1]] = -1
+        pixels = replace(pixels, labels=rename_labels(labels, names))
+    pixels = replace(pixels, is_ground=is_ground, own=own, doubt=doubt)
+    # Of a curved floor, no piece states how the camera is mounted over it.
+    is_piece = plane_count is not None and plane_count <= own < len(found.planes)
+    mounting = None if is_piece else _mounting(found, labels, ways, gravity, config, own)
+    return Ground(classes, pixels, reach, height_m, tilt_deg, mounting)
 
 
 def _nothing(labels: np.ndarray, note: str, lack: GroundLack = GroundLack.GRAVITY) -> GroundPixels:
@@ -570,7 +581,7 @@ def _rough_floor(depth_m: np.ndarray, labels: np.ndarray, rays: tuple[np.ndarray
 
 
 def own_floor(found: PlaneSegmentation, labels: np.ndarray, ways: Ways, gravity: Gravity,
-              max_slope_deg: float, known_height_m: float
+              max_slope_deg: float, known_height_m: float, plane_count: int | None = None
               ) -> tuple[np.ndarray | None, int | None]:
     """
     Return the direction down (3,), and the index of the own floor.
@@ -584,7 +595,7 @@ def own_floor(found: PlaneSegmentation, labels: np.ndarray, ways: Ways, gravity:
     tolerance_deg = max(gravity.tolerance_deg, COARSE_DEG if gravity.source == 'image' else 0.0)
     is_coarse = tolerance_deg > COARSE_DEG
     # Walls part the floor from a ramp only if they do not stand along it: a help, no reference.
-    refined = refine_gravity(planes, down, tolerance_deg) if is_coarse else None
+    refined = refine_gravity(planes[:plane_count], down, tolerance_deg) if is_coarse else None
     if refined is not None:
         down, tolerance_deg = refined, LEVEL_DEG
     surfaces = Surfaces.of(found, down, known_height_m)
@@ -603,7 +614,9 @@ def own_floor(found: PlaneSegmentation, labels: np.ndarray, ways: Ways, gravity:
     if own is None:
         return (None if is_coarse and refined is None else down,
                 len(planes) if known_height_m > 0 else None)
-    if is_coarse or surfaces.slopes_deg[own] <= tolerance_deg:
+    # A piece of a curved surface is level by chance.
+    is_plane = plane_count is None or own < plane_count
+    if is_coarse or is_plane and surfaces.slopes_deg[own] <= tolerance_deg:
         down = -planes[own].normal
     return down, own
 

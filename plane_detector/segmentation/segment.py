@@ -28,7 +28,7 @@ from plane_detector.segmentation.cells.noise import (
 )
 from plane_detector.segmentation.cells.noise_correlation import Correlation
 from plane_detector.segmentation.cells.normal_slopes import NormalMap, slopes_of
-from plane_detector.segmentation.cells.pixel_regions import NO_PATCHES, PixelRegions
+from plane_detector.segmentation.cells.pixel_regions import NO_FACETS, NO_PATCHES, PixelRegions
 from plane_detector.segmentation.fine_pass import MIN_CELL_SHARE, add_small_planes
 from plane_detector.segmentation.memory import NO_MEMORY, Memory, Recall
 from plane_detector.segmentation.pixels.edge_snapping import (
@@ -60,8 +60,8 @@ RELATIVE_FLOOR = 1e-4
 # tuned: rooms at noise 0.0001 and curved scenes; 0.16 of the rooms loses its labels at 0.
 MIN_TURN_DEG = 2.0
 # (H, W) int32, the pieces of planes; (K,) int, the plane of each, -1 where it is curved; (K, 3)
-# float64, the planes.
-Labelled = tuple[np.ndarray, np.ndarray, np.ndarray]
+# float64, the planes; (n,) int, the pieces that are curved.
+Labelled = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
 def metric_noise_floor(config: Config, disparity_noise: float = 0.0, *,
@@ -160,7 +160,7 @@ def segment_next(memory: Memory, disparity: np.ndarray, noise_floor: Noise, conf
     correlation = (Correlation.of(frame.cells, regions, frame.noise)
                    if frame.kind is DepthKind.MEASURED else None)
     recall = Recall(memory, frame.cells)
-    pieces, names, planes = _label(frame, regions, correlation, recall)
+    pieces, names, planes, curved = _label(frame, regions, correlation, recall)
     memory, labels = recall.after(pieces, names), rename_labels(pieces, names)
     patches = NO_PATCHES
     if guide is not None and guide.is_usable:
@@ -169,9 +169,14 @@ def segment_next(memory: Memory, disparity: np.ndarray, noise_floor: Noise, conf
         patches = patches_of_one_colour(guide) if is_blurred else NO_PATCHES
         labels = snap_to_image_edges(labels, *seen, is_blurred)
         labels[~image.valid] = -1
+    facets = NO_FACETS
+    if curved.size:
+        of_curved = np.full(len(names), -1)
+        of_curved[curved] = curved
+        facets = rename_labels(pieces, of_curved)
     correlated_px = correlation.correlated_cells * grid.size_px**2 if correlation else 0.0
     return PixelRegions(image.values, labels, planes, grid, frame.noise, correlated_px,
-                        patches=patches), memory
+                        patches=patches, facets=facets), memory
 
 
 def _label(frame: Frame, regions: PlaneRegions,
@@ -207,7 +212,8 @@ def _network(frame: Frame, regions: PlaneRegions) -> Labelled:
     """Return the labels and planes of network depth, whose errors contain bends and steps."""
     graph = merge_coplanar(frame.cells, RegionGraph.of(frame.cells, regions), None)
     graph = merge_bowed_walls(graph)
-    return label_pixels(frame, graph), np.arange(len(graph.planes)), graph.planes
+    return (label_pixels(frame, graph), np.arange(len(graph.planes)), graph.planes,
+            np.empty(0, np.int64))
 
 
 def _label_flat_regions(frame: Frame, graph: RegionGraph, correlation: Correlation | None,
@@ -231,4 +237,4 @@ def _label_flat_regions(frame: Frame, graph: RegionGraph, correlation: Correlati
     names[curved] = -1
     if frame.noise.is_metric:
         names[find_smears(labels, planes, frame.image, frame.grid)] = -1
-    return labels, names, np.concatenate([joined, planes[len(joined):]])
+    return labels, names, np.concatenate([joined, planes[len(joined):]]), curved

@@ -12,6 +12,8 @@ from plane_detector import Config, PlaneDetector
 from plane_detector.config import DepthConfig, GroundConfig, ScaleConfig
 from plane_detector.depth.observation import DepthFunction
 from plane_detector.directions.gravity_choice import Gravity
+from plane_detector.evaluation.benchmark import ground as ground_benchmark
+from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.evaluation.scenes.rendering import rectangle
 from plane_detector.evaluation.scenes.terrain import (
     Course,
@@ -126,6 +128,35 @@ def test_noise_does_not_hide_a_ramp_that_has_no_plane(seed):
     assert share(found, terrain, Kind.FLOOR) > 0.98
     assert share(found, terrain, Kind.RAMP) > 0.97
     assert share(found, terrain, Kind.LANDING) > 0.85
+
+
+@pytest.mark.parametrize('seed', [9007, 9020])
+def test_a_ramp_taken_for_a_curved_surface_leads_to_the_level_behind_it(seed):
+    judged = ground_benchmark.measure('ramp up', seed, 0.004)
+    assert min(judged['floor'], judged['ramp'], judged['landing']) > 0.97
+
+
+@pytest.mark.parametrize('radius_m, noise, seed', [
+    (12.0, 0.0, 0), (12.0, 0.004, 0), (12.0, 0.004, 1), (20.0, 0.001, 1), (20.0, 0.004, 0),
+    (40.0, 0.0, 0), (-12.0, 0.004, 2)])
+def test_a_gently_curved_floor_is_ground(radius_m, noise, seed):
+    """It rises or falls away from the robot, nowhere by more than 13 degrees."""
+    camera, tilt = CameraIntrinsics(525.0, 525.0, 319.5, 239.5, 640, 480), np.radians(20.0)
+    y = ((np.arange(480) - camera.cy) / camera.fy)[:, None]
+    ahead, below = np.cos(tilt) - np.sin(tilt) * y, np.sin(tilt) + np.cos(tilt) * y
+    # The camera is 1 m over the floor: 1 - z below = (z ahead)^2 / (2 radius)
+    square = below**2 + 2 * ahead**2 / radius_m
+    z = (np.sqrt(np.maximum(square, 0)) - below) * radius_m / ahead**2
+    steepest_m = min(5.0, abs(radius_m) * np.tan(np.radians(13.0)))
+    z = np.where((square >= 0) & (z > 0) & (z * ahead <= steepest_m), z, np.nan)
+    depth_m = np.repeat(z, 640, axis=1).astype(np.float32)
+    if noise:
+        depth_m = with_disparity_noise(depth_m, noise, np.random.default_rng(seed))
+    found = PlaneDetector(MEASURED).detect(np.full((480, 640, 3), 128, np.uint8), camera, depth_m,
+                                           np.array([0.0, np.cos(tilt), np.sin(tilt)]))
+    is_seen = np.isfinite(depth_m)
+    assert found.ground[is_seen].mean() > 0.99
+    assert found.obstacles[is_seen].mean() < 0.01
 
 
 def ground_by_pixels(terrain):

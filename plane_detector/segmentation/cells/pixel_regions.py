@@ -14,7 +14,7 @@ from plane_detector.segmentation.cells.plane_fit import DD, XD, YD, D, N, X, Y
 
 # chosen: a sixteenth of the pixels; a patch that is narrower on the image holds few of them.
 PATCH_SCALE = 4
-NO_PATCHES = np.zeros((0, 0), np.int32)
+NO_PATCHES = NO_FACETS = np.zeros((0, 0), np.int32)
 
 
 @dataclass(frozen=True)
@@ -42,6 +42,9 @@ class PixelRegions:
     # (h, w) int32: for every PATCH_SCALE-th row and column, the patch of one colour of the image,
     # each one surface of the scene; 0 none. Of no size if only the depth decides
     patches: np.ndarray = field(default_factory=NO_PATCHES.copy)
+    # (H, W) int32: as ``labels``, for the pixels of curved surfaces, which are no planes, but are
+    # made of pieces that are flat within the noise. Of no size if there are none
+    facets: np.ndarray = field(default_factory=NO_FACETS.copy)
 
     def rescaled(self, scale: float, shift: float) -> PixelRegions:
         """Return the same regions in the unit of 1/z = scale * disparity + shift, scale > 0."""
@@ -52,9 +55,14 @@ class PixelRegions:
                        grid=_rescaled_grid(self.grid, scale, shift),
                        noise=self.noise.rescaled(scale))
 
+    def of_facets(self) -> PixelRegions:
+        """Return the regions of the pieces of curved surfaces instead of those of planes."""
+        return replace(self, labels=self.facets, facets=NO_FACETS)
+
     def restricted_to(self, valid: np.ndarray) -> PixelRegions:
         """Return the regions without the pixels where ``valid`` (H, W) bool is False."""
-        return replace(self, labels=np.where(valid, self.labels, -1))
+        facets = np.where(valid, self.facets, -1) if self.facets.size else self.facets
+        return replace(self, labels=np.where(valid, self.labels, -1), facets=facets)
 
 
 def _rescaled_grid(grid: CellGrid, scale: float, shift: float) -> CellGrid:
