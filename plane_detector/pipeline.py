@@ -476,7 +476,7 @@ def _next_scale(before: ScaleState | None, seen: Observation, regions: PixelRegi
     evidence = ScaleEvidence(
         seen.disparity, lambda: ray_planes(regions, seen.intrinsics), seen.output,
         seen.is_measured, around.gravity.gravity_camera, around.gravity.tolerance_deg,
-        around.level_axes, seen.sensor_depth_m)
+        around.level_axes, around.open_axes, seen.sensor_depth_m)
     return update_scale(before, estimate_scale(evidence, config.scale), config.scale)
 
 

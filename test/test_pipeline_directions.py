@@ -75,6 +75,34 @@ def test_axes_turn_planes_of_a_network_although_it_is_open_which_is_down(turns):
     assert by_axes < 1.0 < 10.0 < raw
 
 
+def turned_scene(turns):
+    """Return the image, 1/z and planes of a camera that is turned about its axis."""
+    rgb, inverse, labels = (np.ascontiguousarray(np.rot90(part, turns)) for part in (
+        SCENE.rgb, 1 / SCENE.depth_m, SCENE.labels))
+    camera, planes = CAMERA, SCENE.planes.copy()
+    for _ in range(turns):
+        camera = CameraIntrinsics(camera.fy, camera.fx, camera.cy, camera.width - 1 - camera.cx,
+                                  camera.height, camera.width)
+        planes[:, :2] = np.column_stack([planes[:, 1], -planes[:, 0]])
+    return rgb, inverse, labels, camera, planes
+
+
+@pytest.mark.parametrize('turns', [0, 1, 2, 3])
+def test_a_relative_network_has_true_angles_although_it_is_open_which_axis_is_down(turns):
+    """The shift follows from axes; neither metres, nor gravity, nor a class does."""
+    rgb, inverse, labels, camera, planes = turned_scene(turns)
+    relative = (3.0 * (inverse - 0.1)).astype(np.float32)
+    found = PlaneDetector(Config(), DepthFunction(
+        lambda rgb: relative, 'relative_disparity', 0.004)).detect(rgb, camera)
+    assert found.gravity_camera is None and found.scale_method == 'relative'
+    assert set(found.classes) == {PlaneClass.UNKNOWN}
+    assert 'planes and the axes of the scene' in found.scale_note
+    seen = overlap(labels, found.labels, np.ones(labels.shape, bool))
+    errors, pixels = pure_errors(seen, planes, np.stack(
+        [[*plane.normal, plane.offset_m] for plane in found.planes]))
+    assert np.average(errors, weights=pixels) < 1.0
+
+
 def test_exact_planes_of_a_small_image_do_not_move():
     camera = CameraIntrinsics.from_field_of_view(160, 120, 62.0)
     for make, seed in ((random_room, 303), (ramp_room, 310)):

@@ -148,6 +148,13 @@ class Surroundings:
             return np.zeros((0, 3))
         return self.lines.axes[1:]
 
+    @property
+    def open_axes(self) -> np.ndarray:
+        """Axes (A, 3) of the scene, from the image, of which any may be the vertical."""
+        if self.lines is None or self.lines.directions.open_axis is None:
+            return np.zeros((0, 3))
+        return self.lines.axes
+
 
 class DirectionFinder:
     """

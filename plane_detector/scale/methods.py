@@ -6,8 +6,9 @@ Scale methods: from a disparity of unknown scale and shift to metres, 1/z = scal
 A method estimates both, or refuses with a reason. ``auto`` uses the first method that gives
 metres, in this order: metres of the network, measured depth, height of the camera above the floor,
 the same with a vertical that is only the planes' own, given numbers. Without a height, planes and
-vertical determine only the shift: angles are then true, but the unit is unknown. If no method
-succeeds, both are unknown: ``relative``. Metres that are too uncertain are not given.
+vertical, or axes of which any may be the vertical, determine only the shift: angles are then true,
+but the unit is unknown. If no method succeeds, both are unknown: ``relative``. Metres that are too
+uncertain are not given.
 """
 
 from __future__ import annotations
@@ -53,6 +54,8 @@ class ScaleEvidence:
     down_tolerance_deg: float = 0.0  # largest error of gravity
     # (A, 3) float64: known horizontal directions parallel and perpendicular to the walls.
     level_axes: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
+    # (A, 3) float64: known perpendicular axes of which any may be the vertical.
+    open_axes: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
     sensor_depth_m: np.ndarray | None = None  # (H, W) floating, sparse or dense; NaN invalid
 
     @cached_property
@@ -78,11 +81,16 @@ class ScaleEvidence:
 
     @cached_property
     def shift(self) -> ShiftEstimate:
-        """Shift from the planes and gravity, or from the planes alone; depth has none."""
+        """Shift from the planes and known directions, or from the planes; depth has none."""
         if self.output == 'relative_depth':
             return ShiftEstimate(0.0, 0.0, np.nan, 'depth of the network')
         if self.knows_gravity_well:
             down, tolerance_deg, axes = self.down, self.down_tolerance_deg, self.level_axes
+        elif len(self.open_axes):
+            return estimate_shift(self.planes, self.lowest, self.span, [
+                frame for k, axis in enumerate(self.open_axes) for frame in frames_about(
+                    axis, np.radians(OWN_TOLERANCE_DEG / TOLERANCE_SIGMAS),
+                    np.delete(self.open_axes, k, axis=0))])
         elif self.own_axes.refusal:
             return ShiftEstimate.refused(self.own_axes.refusal)
         else:
@@ -224,6 +232,7 @@ def _manhattan(evidence: ScaleEvidence, config: ScaleConfig) -> ScaleEstimate | 
         return found.refusal
     if config.camera_height and evidence.down is not None:
         metric = (_camera_height(evidence, config) if evidence.knows_gravity_well else
+                  evidence.own_axes.refusal or
                   _by_floor(evidence, 'manhattan', evidence.own_axes.axes[0], OWN_TOLERANCE_DEG,
                             config.camera_height))
         if not isinstance(metric, str):
@@ -231,8 +240,9 @@ def _manhattan(evidence: ScaleEvidence, config: ScaleConfig) -> ScaleEstimate | 
         reason = f'; {metric}'
     if evidence.output == 'relative_depth':
         return f'the angles of the network are used{reason}'
-    source = ('planes and the vertical' if evidence.knows_gravity_well
-              else 'right angles between the planes')
+    source = ('planes and the vertical' if evidence.knows_gravity_well else
+              'planes and the axes of the scene' if len(evidence.open_axes) else
+              'right angles between the planes')
     return _unitless(evidence, found, f'{source}: {found.note}{reason}')
 
 

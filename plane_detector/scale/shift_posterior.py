@@ -4,7 +4,8 @@
 Posterior of the shift of a disparity, from all its planes and the directions of the scene.
 
 With 1/z proportional to D + tau, the plane D = p x + q y + r of ray slopes has the normal
-(p, q, r + tau) / m. Known are the vertical and, perhaps, horizontal axes.
+(p, q, r + tau) / m. Known are the vertical and, perhaps, horizontal axes; or axes of which any may
+be the vertical.
 
 1. Each plane is level, across a horizontal axis, upright or anything. The density of its normal is
    a mixture of these: a bell on the sphere about each direction, one about the great circle of
@@ -17,7 +18,8 @@ With 1/z proportional to D + tau, the plane D = p x + q y + r of ray slopes has 
    planes turn to the camera, and that all slopes are so small would be chance.
 4. The prior is that of the ratio of the farthest to the nearest depth.
 5. The vertical is uncertain, too: the likelihood is the mean over some verticals about it, each
-   with all planes, so that its error is common to them.
+   with all planes, so that its error is common to them. Where it is open which of the axes of the
+   scene it is, these are verticals about each of them.
 6. The answer is the median. Its uncertainty grows with the angle by which planes turn from there
    to the shifts of the posterior, so that a second mode counts as much as the width of the first.
 """
@@ -139,7 +141,7 @@ def estimate_shift(planes: DisparityPlanes, lowest: float, span: tuple[float, fl
     spread_deg = float(np.degrees(np.sqrt(mass @ turned_rad**2 @ weights)))
     angle_sigma_deg = float(np.hypot(SPREAD_SHARE * spread_deg, LEAST_SIGMA_DEG))
     if angle_sigma_deg > MAX_ANGLE_SIGMA_DEG:
-        return ShiftEstimate.refused('the planes and the vertical leave angles uncertain by '
+        return ShiftEstimate.refused('the planes and the directions leave angles uncertain by '
                                      f'{angle_sigma_deg:.0f} degrees')
     sigma = np.sqrt(mass @ (tau - estimate) ** 2) * angle_sigma_deg / max(spread_deg, 1e-9)
     return ShiftEstimate(estimate, float(sigma), angle_sigma_deg,
@@ -197,7 +199,11 @@ def _log_prior(tau: np.ndarray, span: tuple[float, float, float]) -> np.ndarray:
 def _what_determines(normals: np.ndarray, planes: DisparityPlanes,
                      frames: list[np.ndarray]) -> str:
     """Return in words which planes are level or upright for the normals (N, 3) of the answer."""
-    down = unit_vectors(np.mean([axes[0] for axes in frames], axis=0))
+    downs = np.array([axes[0] for axes in frames])
+    if (np.abs(downs @ downs[0]) < np.cos(np.radians(NAMED_DEG))).any():
+        off_deg = np.degrees(np.arccos(np.abs(normals @ downs.T).max(axis=1).clip(0, 1)))
+        return f'{planes.pixel_share[off_deg < NAMED_DEG].sum():.0%} across one of the axes'
+    down = unit_vectors(downs.mean(axis=0))
     rise_deg = np.degrees(np.arcsin(np.abs(normals @ down).clip(0, 1)))
     words = [f'{planes.pixel_share[is_so].sum():.0%} {name}' for is_so, name in (
         (rise_deg > 90 - NAMED_DEG, 'level'),

@@ -57,6 +57,17 @@ def test_exact_planes_give_the_shift():
     assert answer.note == '40% level, 60% upright'
 
 
+@pytest.mark.parametrize('order', [[0, 1, 2], [1, 2, 0], [2, 0, 1]])
+def test_axes_give_the_shift_whichever_is_named_first(order):
+    """No axis is known to be the vertical: one cannot know which planes are level."""
+    axes = AXES[order]
+    frames = [frame for k in range(3)
+              for frame in frames_about(axes[k], np.radians(0.1), np.delete(axes, k, axis=0))]
+    answer = estimate_shift(room(), LOWEST, SPAN, frames)
+    assert turned_deg(room(), answer.tau) < 0.3
+    assert answer.note == '100% across one of the axes'
+
+
 def test_floor_and_vertical_are_enough():
     floor = planes([FLOOR], [1.5], [1.0])
     assert turned_deg(floor, found(floor, axes=np.zeros((0, 3))).tau) < 2.0

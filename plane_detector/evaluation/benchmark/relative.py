@@ -80,7 +80,8 @@ class View:
             Config(), for_planes=True)
         return self.estimate(
             ScaleConfig(), gravity_camera=around.gravity.gravity_camera,
-            down_tolerance_deg=around.gravity.tolerance_deg, level_axes=around.level_axes)
+            down_tolerance_deg=around.gravity.tolerance_deg, level_axes=around.level_axes,
+            open_axes=around.open_axes)
 
 
 @dataclass(frozen=True)
