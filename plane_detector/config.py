@@ -156,9 +156,9 @@ class DirectionsConfig(Settings, section='directions'):
         True, 'without an IMU, TF or scale.gravity, the direction of gravity is estimated from '
         'the lines and the depth of the image, if they show reliably how the camera is mounted')
     mounting: str = setting(
-        'any', 'mounting of the camera, used where gravity comes from the image: any: it may be on '
-        'its side, upside down or looking straight down, which the depth of a network often leaves '
-        'open; upright: it is not',
+        'any', 'mounting of the camera, used where gravity comes from the image: any: it may be '
+        'on its side, upside down or looking straight down, which the depth of a network often '
+        'leaves open; upright: it is not',
         choices=('any', 'upright'))
     orient_planes: bool = setting(
         True, 'planes in the depth of a network are rotated to the orientation that is most '
@@ -243,8 +243,9 @@ class GroundConfig(Settings, section='ground'):
         0.08, 'where the ground ends and the next surface is lower by more than this, there is a '
         'drop', 'm', 0.01, 10.0)
     ignore_box: tuple[float, ...] = setting(
-        (0.0,) * 6, 'box around the parts of the robot that are in view: least x y z, then largest '
-        'x y z, in the optical frame; depth in it is neither ground nor obstacle; all 0: no box',
+        (0.0,) * 6, 'box around the parts of the robot that are in view: least x y z, then '
+        'largest x y z, in the optical frame; depth in it is neither ground nor obstacle; all 0: '
+        'no box',
         'm', -100.0, 100.0)
 
     def __post_init__(self) -> None:
@@ -378,8 +379,8 @@ class NodeConfig(Settings):
         'raw', 'raw: sensor_msgs/Image on image; compressed: sensor_msgs/CompressedImage on '
         'image/compressed', choices=('raw', 'compressed'))
     max_image_pixels: int = setting(
-        25_000_000, 'larger images are refused, compressed ones before they are decoded: a million '
-        'pixels take about 50 MB', 'px', 1, 2**30)
+        25_000_000, 'larger images are refused, compressed ones before they are decoded: a '
+        'million pixels take about 50 MB', 'px', 1, 2**30)
     rectify: str = setting(
         'auto', 'undo the lens distortion of CameraInfo; auto: if there is any and the topic is '
         'not named as rectified', choices=('auto', 'true', 'false'))
