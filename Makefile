@@ -2,7 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 #
 # make demo                      planes in photographs, through the real node -> demo_output/
-# make demo IMAGES=folder FX=..  the same for your images (FX FY CX CY in pixels, or FOV in degrees)
+# make demo IMAGES=folder FX=..  the same for your images (FX FY CX CY in pixels, or FOV in degrees;
+#                                MOUNTING=upright: none was taken on its side or straight down)
 # make test                      the tests
 # make lint                      ruff, codespell
 # make faults                    fault injection, results as a table; SOAK_MINUTES=20 adds a long run
@@ -30,7 +31,7 @@ unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
 demo: $(STAMP)
 	@$(RUN) -m plane_detector.tools.demo \
-	    $(foreach name,IMAGES FX FY CX CY FOV MODEL OUTPUT,$(call option,$(name)))
+	    $(foreach name,IMAGES FX FY CX CY FOV MOUNTING MODEL OUTPUT,$(call option,$(name)))
 
 # In two processes, which take six minutes on two cores; with TESTS=... only these, in one.
 test: $(STAMP)

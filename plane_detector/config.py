@@ -68,8 +68,8 @@ class DepthConfig(Settings, section='depth'):
     max_depth: float = setting(
         80.0, 'depth beyond this is invalid', 'm', 0.01, 1e4)
     max_range: float = setting(
-        0.0, 'range within which the sensor surely sees the floor: where the ground ends nearer '
-        'and nothing is behind, there is a drop; 0: unknown, then what it has seen so far counts',
+        0.0, 'range within which the sensor reliably sees the floor: where the ground ends nearer '
+        'with nothing behind it, there is a drop; 0: unknown, the range observed so far is used',
         'm', 0.0, 1e4)
     providers: tuple[str, ...] = fixed_setting(
         ('CPUExecutionProvider',), 'ONNX Runtime execution providers; the first one that '
@@ -156,9 +156,9 @@ class DirectionsConfig(Settings, section='directions'):
         True, 'without an IMU, TF or scale.gravity, the direction of gravity is estimated from '
         'the lines and the depth of the image, if they show reliably how the camera is mounted')
     mounting: str = setting(
-        'any', 'how the camera is mounted, where gravity comes from the image: any, also on its '
-        'side, upside down or looking straight down, which the depth of a network often leaves '
-        'open; upright: none of these',
+        'any', 'mounting of the camera, used where gravity comes from the image: any: it may be '
+        'on its side, upside down or looking straight down, which the depth of a network often '
+        'leaves open; upright: it is not',
         choices=('any', 'upright'))
     orient_planes: bool = setting(
         True, 'planes in the depth of a network are rotated to the orientation that is most '
@@ -237,14 +237,15 @@ class GroundConfig(Settings, section='ground'):
         0.03, 'highest step, up or down, that the robot rolls over', 'm', 0.0, 1.0)
     max_slope: float = setting(15.0, 'steepest ramp that the robot drives on', 'deg', 0.0, 45.0)
     min_height: float = setting(
-        0.05, 'a point that stands off the ground by more, and by more than its error, is an '
+        0.05, 'a point that is higher above the ground than this, and than its own error, is an '
         'obstacle', 'm', 0.0, 1.0)
     min_drop: float = setting(
-        0.08, 'where the next surface behind the end of the ground is lower by more, there is a '
+        0.08, 'where the ground ends and the next surface is lower by more than this, there is a '
         'drop', 'm', 0.01, 10.0)
     ignore_box: tuple[float, ...] = setting(
-        (0.0,) * 6, 'what of the robot itself is in view: least x y z and largest x y z of a box '
-        'in the optical frame, in which depth is neither ground nor obstacle; all 0: nothing',
+        (0.0,) * 6, 'box around the parts of the robot that are in view: least x y z, then '
+        'largest x y z, in the optical frame; depth in it is neither ground nor obstacle; all 0: '
+        'no box',
         'm', -100.0, 100.0)
 
     def __post_init__(self) -> None:
@@ -264,8 +265,8 @@ class GridConfig(Settings, section='grid'):
         10.0, 'sides of the grid, around the origin of base_frame or the point below the camera',
         'm', 0.5, 100.0)
     max_height: float = setting(
-        2.0, 'what is higher above the ground is no obstacle, as the robot passes below', 'm',
-        0.1, 100.0)
+        2.0, 'points higher above the ground than this are not obstacles: the robot passes below '
+        'them', 'm', 0.1, 100.0)
 
 
 @dataclass(frozen=True)
@@ -279,10 +280,10 @@ class MapConfig(Settings, section='map'):
         'auto', 'file that ~/map/save writes and ~/map/load reads; ~ is the home folder; auto: '
         'the name of the node with _map.json, in the working directory')
     cell: float = fixed_setting(
-        0.04, 'side of the square cells in which a plane is known to be there', 'm', 0.005, 1.0)
+        0.04, 'side of the square cells that record where a plane was observed', 'm', 0.005, 1.0)
     pose_jitter: float = fixed_setting(
-        0.005, 'standard deviation of the error of a pose that is new in each image; of its '
-        'rotation, half as many radians', 'm', 0.0, 1.0)
+        0.005, 'standard deviation of the part of the pose error that is independent in each '
+        'image; that of the rotation is half as many radians', 'm', 0.0, 1.0)
     pose_drift: float = fixed_setting(
         0.01, 'standard deviation of the drift of the poses after one metre or radian; it grows '
         'with the square root of the distance travelled', '', 0.0, 1.0)
@@ -378,14 +379,15 @@ class NodeConfig(Settings):
         'raw', 'raw: sensor_msgs/Image on image; compressed: sensor_msgs/CompressedImage on '
         'image/compressed', choices=('raw', 'compressed'))
     max_image_pixels: int = setting(
-        25_000_000, 'an image of more pixels is refused, a compressed one before it is decoded: '
-        'each million pixels takes about 50 MB', 'px', 1, 2**30)
+        25_000_000, 'larger images are refused, compressed ones before they are decoded: a '
+        'million pixels take about 50 MB', 'px', 1, 2**30)
     rectify: str = setting(
         'auto', 'undo the lens distortion of CameraInfo; auto: if there is any and the topic is '
         'not named as rectified', choices=('auto', 'true', 'false'))
     lens_is_guessed: bool = setting(
-        False, 'the CameraInfo is a guess, as by a field of view that nobody measured: what '
-        'follows from angles between rays, as gravity from the lines of the image, is uncertain')
+        False, 'the CameraInfo is a guess, for example from a field of view that nobody measured: '
+        'what follows from angles between rays, such as gravity from the lines of the image, is '
+        'uncertain')
     stamp_slop: float = setting(
         0.02, 'largest difference between the stamps of an image and its depth image, if no depth '
         'image has the same stamp', 's', 0.0, 10.0)

@@ -18,9 +18,13 @@ from plane_detector.plane_fields import PlaneClass, PlaneColumns, columns_of, ro
 # chosen: stamps of one stream that are further back are of another one, such as a bag that starts
 # again; images that overtook each other are a few periods apart.
 JUMP_S = 1.0
-# chosen: a lens sees between .06 and 179 degrees along the longer side; the longest telephoto and
-# the widest fisheye are far inside. Outside, products of coefficients overflow.
-_LEAST_FOCAL_SHARE, _MOST_FOCAL_SHARE, _MOST_CENTRE_SHARE = 0.01, 1000.0, 1000.0
+# chosen: the widest rectilinear lens sees 125 degrees; the focal length of a fisheye lens of 220
+# degrees is .26 times the side that its image circle fills.
+_MOST_FIELD_OF_VIEW_DEG = 160.0
+# derived: 1 / (2 tan(80 degrees)) is .0882, for the field of view above.
+# chosen: 1000 times the longer side are .06 degrees, far beyond the longest telephoto lens; above
+# that, products of coefficients overflow.
+_LEAST_FOCAL_SHARE, _MOST_FOCAL_SHARE, _MOST_CENTRE_SHARE = 0.088, 1000.0, 1000.0
 
 # chosen: of 170 cameras of public sets the principal point is within .05 of the middle; half the
 # size moves it by .25, two thirds by .17. The shares of both sides of another size are equal.
@@ -35,7 +39,8 @@ class CameraIntrinsics:
     Parameters
     ----------
     fx, fy : float
-        Focal lengths in pixels, .01 to 1000 times the longer side.
+        Focal lengths in pixels: at least .088 times the width and the height, a field of view
+        of 160 degrees, at most 1000 times the longer side.
     cx, cy : float
         Principal point in pixels; the centre of the first pixel is (0, 0). It may lie outside of
         the image, by less than 1000 times the longer side.
@@ -78,15 +83,15 @@ class CameraIntrinsics:
         if min(self.width, self.height) <= 0:
             raise ValueError(f'image size must be positive, not {self.width} x {self.height}')
         side = max(self.width, self.height)
-        for name, share, least, most in (
-                ('fx', self.fx / side, _LEAST_FOCAL_SHARE, _MOST_FOCAL_SHARE),
-                ('fy', self.fy / side, _LEAST_FOCAL_SHARE, _MOST_FOCAL_SHARE),
-                ('cx', self.cx / side, -_MOST_CENTRE_SHARE, _MOST_CENTRE_SHARE),
-                ('cy', self.cy / side, -_MOST_CENTRE_SHARE, _MOST_CENTRE_SHARE)):
-            if not least <= share <= most:
+        for name, least_px, share in (
+                ('fx', _LEAST_FOCAL_SHARE * self.width, _MOST_FOCAL_SHARE),
+                ('fy', _LEAST_FOCAL_SHARE * self.height, _MOST_FOCAL_SHARE),
+                ('cx', -_MOST_CENTRE_SHARE * side, _MOST_CENTRE_SHARE),
+                ('cy', -_MOST_CENTRE_SHARE * side, _MOST_CENTRE_SHARE)):
+            if not least_px <= getattr(self, name) <= share * side:
                 raise ValueError(
                     f'{name} {getattr(self, name):g} px cannot be that of a {self.width} x '
-                    f'{self.height} image, {least * side:g} to {most * side:g} px can: calibrate '
+                    f'{self.height} image, {least_px:g} to {share * side:g} px can: calibrate '
                     'the camera again, or correct its CameraInfo')
 
     @property
@@ -129,7 +134,7 @@ class CameraIntrinsics:
         Raises
         ------
         ValueError
-            As of the class, or the angle is not above 0 and below 180 degrees.
+            As of the class, or the angle is not above 0 and at most 160 degrees.
 
         Examples
         --------
@@ -138,9 +143,9 @@ class CameraIntrinsics:
         (320.0, 319.5, 239.5)
 
         """
-        if not 0 < horizontal_deg < 180:
-            raise ValueError('the horizontal field of view must be above 0 and below 180 degrees, '
-                             f'not {horizontal_deg}')
+        if not 0 < horizontal_deg <= _MOST_FIELD_OF_VIEW_DEG:
+            raise ValueError('the horizontal field of view must be above 0 and at most '
+                             f'{_MOST_FIELD_OF_VIEW_DEG:g} degrees, not {horizontal_deg}')
         focal_px = float(0.5 * width / np.tan(np.radians(horizontal_deg) / 2))
         return cls(focal_px, focal_px, (width - 1) / 2, (height - 1) / 2, width, height,
                    is_guessed)

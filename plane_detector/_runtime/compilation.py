@@ -236,7 +236,7 @@ def compile_kernels(subjects: Iterable[str], log: Callable[[str], None] = lambda
             log(f'compiling {what} for this machine, once; this takes up to a minute')
             if not _memory_only.is_set():
                 try:
-                    _compile_in_processes(missing, log)
+                    _compile_in_processes(missing, log, what)
                 except OSError as error:
                     log(f'no process can be started to help: {error}')
         for one in wanted:
@@ -265,7 +265,8 @@ def _python() -> str | None:
     return None
 
 
-def _compile_in_processes(kernels: list[Kernel], log: Callable[[str], None]) -> None:
+def _compile_in_processes(kernels: list[Kernel], log: Callable[[str], None],
+                          what: str) -> None:
     """
     Let other processes fill the cache; what they fail to compile is compiled by the caller.
 
@@ -303,7 +304,7 @@ def _compile_in_processes(kernels: list[Kernel], log: Callable[[str], None]) -> 
                 raise_if_stopped()
                 if time.monotonic() - logged_s > LOG_PERIOD_S:
                     logged_s, done = time.monotonic(), [one for one in kernels if one.is_cached]
-                    log(f'compiled {len(done)} of {len(kernels)} kernels')
+                    log(f'{what}: {len(done)} of {len(kernels)} compiled')
                     for one in done:  # to load all of them at the end takes a second or two
                         one.compiled()
                 time.sleep(_CHECK_S)

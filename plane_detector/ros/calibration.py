@@ -46,8 +46,9 @@ def intrinsics_from_msg(msg: CameraInfo, rectified: bool = False) -> CameraIntri
     """
     has_p = rectified and msg.p[0] != 0
     if not (has_p or np.any(msg.k)):
-        raise ValueError('the CameraInfo has a K of zeros: the camera is not calibrated' + (
-            f', but its P has fx {msg.p[0]:g} px: if the images are rectified, remap to a topic '
+        raise ValueError('the CameraInfo has a K of zeros: the camera is not calibrated; '
+                         'calibrate it, or let its driver load the calibration' + (
+            f'. But its P has fx {msg.p[0]:g} px: if the images are rectified, remap to a topic '
             'whose name says so, as image_rect' if msg.p[0] and not rectified else ''))
     (fx, _, cx), (_, fy, cy) = (np.reshape(msg.p, (3, 4))[:2, :3] if has_p
                                 else np.reshape(msg.k, (3, 3))[:2]).tolist()

@@ -44,7 +44,7 @@ _CLEAR = '\x1b[2J\x1b[H'
 _SIZES = (('width', 'rect_width', 7, '.2f'), ('height', 'rect_height', 7, '.2f'),
           ('area', 'area', 8, '.2f'))
 _COLUMNS = (('distance', 'd', 8, '.2f'), *_SIZES, ('rms', 'rms', 7, '.3f'),
-            ('sure', 'confidence', 5, '.0%'))
+            ('conf.', 'confidence', 5, '.0%'))
 _MAP_COLUMNS = (*((axis, axis, 7, '.2f') for axis in 'xyz'), *_SIZES, ('views', 'views', 5, 'd'),
                 ('sigma', 'sigma_d', 7, '.3f'))
 
@@ -98,7 +98,7 @@ class PlanePrinter(Node):
         super().__init__('plane_printer', **node_options)
         self._as_json = as_json
         self._name, self._stream, self.has_printed = detector.strip('/'), stream, False
-        self._is_metric, self._camera, self._warned = True, '', ''
+        self._is_metric, self._camera, self._warned, self._message = True, '', '', ''
         self.topic = f'/{self._name}/{"map/planes" if of_map else "planes"}'
         self.create_subscription(PointCloud2, self.topic, self._print, output_profile(of_map))
         self.create_subscription(DiagnosticArray, '/diagnostics', self._note_facts, 10)
@@ -107,6 +107,7 @@ class PlanePrinter(Node):
     def _note_facts(self, msg: DiagnosticArray) -> None:
         for status in msg.status:
             if status.name.strip('/') == self._name:
+                self._message = '' if status.level == status.OK else plain(status.message)
                 facts = {value.key: value.value for value in status.values}
                 self._is_metric = facts.get('scale') != RELATIVE
                 self._camera = camera_line(facts)
@@ -121,7 +122,8 @@ class PlanePrinter(Node):
         """Return why no planes arrive, and what to do."""
         own = self.topic
         if self.count_publishers(own):
-            return f'no planes on {own} yet: the log of the node says what is missing'
+            return (f'no planes on {own} yet: '
+                    + (self._message or 'the log of the node says what is missing'))
         if own.endswith('/map/planes') and self.count_publishers(f'/{self._name}/planes'):
             return (f'nobody publishes {own}: /{self._name} keeps no map; set its parameters '
                     'map.enabled to true, and target_frame')

@@ -50,8 +50,9 @@ def test_intrinsics_of_an_uncalibrated_camera_are_refused(name):
 
 
 @pytest.mark.parametrize('name, value, range_px', [
-    ('fx', 1e308, '6.4 to 640000'), ('fy', 1e160, '6.4 to 640000'), ('fx', 641e3, '6.4 to 640000'),
-    ('fy', 6.3, '6.4 to 640000'), ('cx', 1e308, '-640000 to 640000'),
+    ('fx', 1e308, '56.32 to 640000'), ('fy', 1e160, '42.24 to 640000'),
+    ('fx', 641e3, '56.32 to 640000'), ('fx', 20.0, '56.32 to 640000'),
+    ('fy', 42.0, '42.24 to 640000'), ('cx', 1e308, '-640000 to 640000'),
     ('cx', -641e3, '-640000 to 640000'), ('cy', -1e200, '-640000 to 640000')])
 def test_intrinsics_out_of_reason_are_refused_with_value_range_and_remedy(name, value, range_px):
     values = {'fx': 500.0, 'fy': 500.0, 'cx': 320.0, 'cy': 240.0, 'width': 640, 'height': 480}
@@ -63,9 +64,19 @@ def test_intrinsics_out_of_reason_are_refused_with_value_range_and_remedy(name, 
         'the camera again, or correct its CameraInfo')
 
 
-@pytest.mark.parametrize('focal_px', [6.4, 640e3])
+@pytest.mark.parametrize('focal_px', [56.5, 640e3])  # 160 degrees across 640 px: 56.42 px
 def test_the_longest_and_the_shortest_lens_are_possible(focal_px):
     assert CameraIntrinsics(focal_px, focal_px, 320.0, 240.0, 640, 480).fx == focal_px
+
+
+@pytest.mark.parametrize('width, height, focal_px', [
+    (640, 480, 167.0),  # fisheye lens of 220 degrees, r = f theta, its circle as wide as the image
+    (64, 48, 16.7), (1280, 720, 188.0),  # the same in small, and as high as the image
+    (1024, 16, 163.0),  # rows of a lidar, rectified
+    (64, 480, 60.0)])  # cut to a strip of a camera of 640 x 480
+def test_wide_lenses_small_images_and_strips_are_possible(width, height, focal_px):
+    camera = CameraIntrinsics(focal_px, focal_px, width / 2, height / 2, width, height)
+    assert (camera.fx, camera.fy) == (focal_px, focal_px)
 
 
 INVALID = [0.0, -0.0, -1.0, np.inf, -np.inf, np.nan, 0.9e-3, 1e-40]

@@ -15,7 +15,8 @@ from plane_detector.evaluation.benchmark.map import along_face, record, score
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.evaluation.scenes.rendering import box, camera_rotation, render
 from plane_detector.evaluation.scenes.rooms import single_wall
-from plane_detector.evaluation.scenes.walks import QVGA, walk, walls, with_errors
+from plane_detector.evaluation.scenes.walks import QVGA, Walk, walk, walls, with_errors
+from plane_detector.geometry.projection import depth_to_points
 from plane_detector.geometry.rigid_transform import RigidTransform
 from plane_detector.mapping import merging, plane_map
 from plane_detector.mapping.association import Pairs, assign
@@ -353,3 +354,34 @@ def covers(face, plane):
     is_on = ((abs(along[:, 2]) < 0.01) & (along[:, :2] > -0.04).all(axis=1)
              & (along[:, :2] < sides).all(axis=1))
     return is_on.mean() > 0.5
+
+
+def test_a_second_camera_continues_the_map_of_the_first(tmp_path):
+    """A robot that turns by 60 degrees on its way, with a camera ahead and one behind."""
+    rng, size, images = np.random.default_rng(7), np.array([6.0, 4.5, 2.6]), 24
+    ways = [tuple(RigidTransform(camera_rotation(60 * share + turn_deg, -20.0, 0.0),
+                                 np.array([2 * share - 1, 0.3 * share - 0.5, 1.0]))
+                  for share in np.linspace(0, 1, images)) for turn_deg in (0.0, 180.0)]
+    seen, maps = [], (PlaneMap(), PlaneMap())
+    for number, (poses, planes) in enumerate(zip(ways, maps, strict=True)):
+        if number:
+            maps[0].save(tmp_path / 'front.json', 'odom', 9.0)
+            planes.load(tmp_path / 'front.json', 'odom')
+        walked = Walk(tuple(walls(size)), poses)
+        detector = PlaneDetector(Config(depth=DepthConfig(source='topic')))
+        for index in range(images):
+            shot = walked.scene(index, QVGA, rng)
+            noisy_m = with_disparity_noise(shot.depth_m, 0.001, rng)
+            found = detector.detect(shot.rgb, QVGA, noisy_m, gravity_camera=shot.gravity_camera,
+                                    stamp_s=0.2 * index)
+            planes.update(PlacedDetection(found, QVGA, poses[index], 0.2 * index))
+            points_m = poses[index].points(depth_to_points(shot.depth_m, QVGA).reshape(-1, 3))
+            on_floor = points_m[abs(points_m[:, 2]) < 1e-3, :2]
+            seen.append(np.unique(np.floor(on_floor / 0.05), axis=0))
+    (front,), (both,) = ([plane for plane in one.snapshot().planes
+                          if plane.plane_class is PlaneClass.FLOOR] for one in maps)
+    assert both.label == front.label
+    true_m2 = [len(np.unique(np.concatenate(part), axis=0)) * 0.05 ** 2
+               for part in (seen[:images], seen)]
+    assert true_m2[1] > 1.5 * true_m2[0]
+    assert [front.area_m2, both.area_m2] == pytest.approx(true_m2, rel=0.05)

@@ -159,7 +159,7 @@ IMAGE, RAW = 'sensor_msgs/msg/CompressedImage', 'sensor_msgs/msg/Image'
      'there are /camera/color/image_raw: remap with --ros-args -r image:=/camera/color/image_raw'),
     ('depth', {'/camera/depth/image_raw': RAW, '/camera/color/image_raw': RAW},
      'there are /camera/depth/image_raw: remap'),
-    ('depth', {'/camera/color/image_raw': RAW}, 'nor any other topic of type'),
+    ('depth', {'/camera/color/image_raw': RAW}, 'there is no other topic of type'),
     ('image', {'/camera/depth/image_raw': RAW, '/color/compressed': IMAGE},
      '/color/compressed is a sensor_msgs/msg/CompressedImage: set image_transport to compressed'),
     ('depth', {'/depth/compressedDepth': IMAGE},
@@ -174,7 +174,7 @@ def test_the_topic_that_is_proposed_is_of_the_kind_and_the_nearest(role, publish
 def test_a_topic_that_is_in_use_is_not_proposed_for_depth(robot, room):
     start(robot, depth__source='topic')
     robot.publish('image', image_msg(room.rgb, 'rgb8', 1.0))
-    assert robot.is_logged('nobody publishes /depth, nor any other topic')
+    assert robot.is_logged('nobody publishes /depth, and there is no other topic')
     assert '-r depth:=/image' not in robot.log()
 
 

@@ -14,6 +14,7 @@ from pathlib import Path
 import output_scene as scene
 import pytest
 import yaml
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from ros_helpers import camera_info_msg, cloud_array
@@ -134,6 +135,20 @@ def test_without_a_map_it_says_which_parameters_make_one(robot):
     robot.publish('/plane_detector/planes', two_planes())
     assert robot.spin(lambda: 'map.enabled to true, and target_frame' in printer.why_nothing())
     assert '--node' not in printer.why_nothing()
+
+
+def test_the_reason_that_the_node_states_is_the_reason(robot):
+    printer = PlanePrinter('/plane_detector', io.StringIO(), context=robot.context)
+    robot.add(printer)
+    publisher = robot.node.create_publisher(PointCloud2, '/plane_detector/planes', 1)
+    why = 'frames skipped: the CameraInfo has a K of zeros\x1b[2J'
+    robot.publish('/diagnostics', DiagnosticArray(status=[
+        DiagnosticStatus(name='another', level=DiagnosticStatus.WARN, message='hot'),
+        DiagnosticStatus(name='plane_detector', level=DiagnosticStatus.WARN, message=why)]))
+    assert robot.spin(lambda: 'K of zeros' in printer.why_nothing())
+    assert printer.why_nothing().startswith('no planes on /plane_detector/planes yet: frames skip')
+    assert '\x1b' not in printer.why_nothing()
+    robot.node.destroy_publisher(publisher)
 
 
 def test_json_is_printed_live(robot):

@@ -356,7 +356,7 @@ class Subscriptions:
                               for role, frame_id in roles.items())
             self._node.get_logger().warning(
                 f'the frame_ids differ: {named}. Depth must be registered to the image, and '
-                'CameraInfo be that of the image: other topics of the driver may be')
+                'CameraInfo must be that of the image: see whether the driver has such topics')
 
 
 def _rounded_up(seconds: float) -> str:

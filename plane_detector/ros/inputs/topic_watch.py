@@ -109,8 +109,10 @@ class TopicWatch:
         if topic.only_reliable and ReliabilityPolicy.BEST_EFFORT in offered:
             return (f'nothing arrives on {topic.name}: the parameter input_reliability asks for '
                     'reliable, the publisher is best effort: set it to auto or best_effort')
-        return (f'nothing arrives on {topic.name}, though it has {len(offered)} publisher(s): it '
-                f'sends nothing, large {MESSAGES_LOST}, or the QoS does not fit')
+        publishers = 'a publisher' if len(offered) == 1 else f'{len(offered)} publishers'
+        return (f'nothing arrives on {topic.name}, though it has {publishers}. Either nothing is '
+                'sent (ros2 topic hz shows it), or the QoS does not match, or messages get lost: '
+                f'large {MESSAGES_LOST}')
 
     def _reliabilities(self, topic: _Topic) -> list[ReliabilityPolicy]:
         """Return the reliabilities offered by publishers of the right type."""
@@ -151,7 +153,7 @@ def explain_silence(role: str, topic: str, type_name: str, offered: Sequence[str
                                   if kind == type_name and _fits(role, name, kind)])
     if not same:
         by_name = {'depth': ' with depth in its name', 'image': ' without depth in its name'}
-        return (f'nobody publishes {topic}, nor any other topic of type {type_name}'
+        return (f'nobody publishes {topic}, and there is no other topic of type {type_name}'
                 + by_name.get(role, '')
                 + _other_transport(role, topic, type_name, published))
     listed = ', '.join(same[:_LISTED]) + (', ...' if len(same) > _LISTED else '')

@@ -54,9 +54,9 @@ def _run(options: argparse.Namespace) -> int:
     lens = Lens(options.fx, options.fy, options.cx, options.cy, options.fov)
     if options.images and options.without_network:
         raise ValueError('your own images have no measured depth: they need the network')
-    if lens != Lens() and not options.images:
-        raise ValueError('a calibration or a field of view is for your own images: name one '
-                         'or their folder by --images (make demo IMAGES=...)')
+    if not options.images and (lens != Lens() or options.mounting != 'any'):
+        raise ValueError('a calibration, a field of view or a mounting is for your own images: '
+                         'name one or their folder by --images (make demo IMAGES=...)')
     if options.model not in ('auto', *NETWORKS):
         if not Path(options.model).expanduser().is_file():
             raise FileNotFoundError(f'--model {options.model} is neither a file nor one of auto, '
@@ -73,7 +73,7 @@ def _run(options: argparse.Namespace) -> int:
               options.output)
         _write_bag(options.output / 'example_bag', measured[0])
     if not options.without_network:
-        network = _network(options)
+        network = {**_network(options), 'directions.mounting': options.mounting}
         if not options.images:
             network['scale.gravity'] = WORKSHOP_GRAVITY
             print('  The direction of gravity is given, as a robot has it from TF or an IMU.')
@@ -86,6 +86,7 @@ def _run(options: argparse.Namespace) -> int:
 def _write_bag(folder: Path, photograph: Photograph) -> None:
     """Write a bag for the tutorial, unless it is there or what writes bags is not installed."""
     if folder.exists():
+        print(f'\n{folder} is from an earlier run')
         return
     try:
         from plane_detector.tools.demo.example_bag import write_example_bag
@@ -115,7 +116,8 @@ def _network(options: argparse.Namespace) -> dict[str, Any]:
     print(f'\nThrough a depth network: {reason}.\n  {path}\n  {network.output}, {network.summary}')
     if network.name == 'fastdepth':
         print(f'  It is the smallest one, {_FASTDEPTH_IS}; its metres are coarse.\n'
-              '  Better networks: ros2 run plane_detector fetch.')
+              '  Better networks: ros2 run plane_detector fetch, in a clone .venv/bin/python -m '
+              'plane_detector.tools.fetch.')
     return {'depth.model': network.name}
 
 
@@ -157,14 +159,15 @@ def _print(name: str, photograph: Photograph, received: Received) -> None:
     """Print the table of planes and the time of a frame."""
     size = photograph.intrinsics
     print(f'\n{name}: {size.width} x {size.height}, fx {size.fx:.0f} px, '
-          f'{photograph.calibration}')
+          f'{photograph.calibration}; lengths in '
+          f'{"metres" if received.unit == "m" else "an unknown unit"}')
     print('\n'.join(f'  {line}' for line in table_lines(received.planes)))
     if not _legend(received.planes):
-        print(f'  (no floor, no walls: the direction of gravity is not known{received.note})')
-    if received.unit != 'm':
-        print('  (lengths in an unknown unit)')
-    print(f'  {received.frame_ms:.0f} ms from the image to the planes, all through the topics of '
-          'one process')
+        print(f'  (no floor, no walls: the direction of gravity is not known{received.note}; '
+              'MOUNTING=upright, or --mounting upright, excludes images taken on their side or '
+              'straight down)')
+    print(f'  {received.frame_ms:.0f} ms from the image to the planes, over topics within one '
+          'process')
 
 
 def _figure(photograph: Photograph, depth_title: str, received: Received) -> np.ndarray:
@@ -196,12 +199,15 @@ def _legend(planes: np.ndarray) -> str:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+        prog='demo', description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument('--images', type=Path, help='your own image, or a folder of images')
     for name in ('fx', 'fy', 'cx', 'cy'):
         parser.add_argument(f'--{name}', type=float, help='calibration of these images, pixels')
     parser.add_argument('--fov', type=float,
                         help='horizontal field of view in degrees, instead of a calibration')
+    parser.add_argument('--mounting', choices=['any', 'upright'], default='any', help=(
+        'upright: none of these images was taken on its side, upside down or straight down, so '
+        'that their lines show more often which way is down (default: %(default)s)'))
     parser.add_argument('--model', default='auto', metavar='NAME|FILE', help=(
         f'depth network: auto, {", ".join(NETWORKS)}, or an .onnx file (default: %(default)s)'))
     parser.add_argument('--model-output', choices=['metric_depth', 'disparity',

@@ -39,8 +39,9 @@ class Lens:
             raise ValueError('fy, cx and cy need fx')
         if self.fx is not None and self.field_of_view_deg is not None:
             raise ValueError('either fx or a field of view, not both')
-        if self.field_of_view_deg is not None and not 1 <= self.field_of_view_deg < 180:
-            raise ValueError('the field of view must be from 1 to below 180 degrees')
+        if self.field_of_view_deg is not None and not 1 <= self.field_of_view_deg <= 160:
+            raise ValueError('the field of view must be from 1 to 160 degrees, not '
+                             f'{self.field_of_view_deg:g}')
 
     def intrinsics(self, width: int, height: int) -> CameraIntrinsics:
         """Return the pinhole model for an image of this size."""

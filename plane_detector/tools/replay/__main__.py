@@ -174,7 +174,8 @@ def _make_parser() -> argparse.ArgumentParser:
 
     add = parser.add_argument_group('outputs').add_argument
     add('--outputs', nargs='+', choices=list(OUTPUTS), default=list(DEFAULT_OUTPUTS),
-        help='topics of the new bag (default: all but points_without_floor)')
+        help='topics of the new bag (default: all but '
+             f'{" ".join(name for name in OUTPUTS if name not in DEFAULT_OUTPUTS)})')
     add('--copy', nargs='*', metavar='TOPIC',
         help='copy these topics into the new bag; without a name: the inputs. With --every, only '
              'the inputs of the processed frames')

@@ -12,7 +12,7 @@ import fcntl
 import os
 import shutil
 import sqlite3
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from tempfile import NamedTemporaryFile
@@ -164,6 +164,18 @@ class BagWriter:
         with self._writable():
             self._writer.write(self._connections[topic], time_ns,
                                self._types.serialize_cdr(plain, kind))
+
+    def write_static_transforms(self, time_ns: int, transforms: Sequence[Any]) -> None:
+        """Write geometry_msgs/TransformStamped on /tf_static; tf2_msgs need not be installed."""
+        kind = 'tf2_msgs/msg/TFMessage'
+        self._connections['/tf_static'] = self._writer.add_connection(
+            '/tf_static', kind, typestore=self._types, offered_qos_profiles=_LATCHED)
+        plain = [self._types.deserialize_cdr(serialize_message(one),
+                                             'geometry_msgs/msg/TransformStamped')
+                 for one in transforms]
+        with self._writable():
+            self._writer.write(self._connections['/tf_static'], time_ns,
+                               self._types.serialize_cdr(self._types.types[kind](plain), kind))
 
     def copy(self, recorded: Recorded) -> None:
         """Write a recorded message of an announced topic."""

@@ -30,7 +30,7 @@ def motorcycle():
 
 @pytest.mark.parametrize('wrong', [
     {'cx': 3.0}, {'fy': 3.0}, {'fx': 500.0, 'field_of_view_deg': 60.0},
-    {'field_of_view_deg': 180.0}, {'field_of_view_deg': 0.0}])
+    {'field_of_view_deg': 161.0}, {'field_of_view_deg': 0.0}])
 def test_contradictory_lens_is_refused(wrong):
     with pytest.raises(ValueError, match='fx|field of view'):
         Lens(**wrong)
@@ -92,6 +92,7 @@ def test_demo_runs_the_node_over_dds(tmp_path, motorcycle):
     known = np.isfinite(motorcycle.true_depth_m)
     assert abs(seen[known] / 1000 - motorcycle.true_depth_m[known]).max() < 0.001
     assert not seen[~known].any()
+    _is_a_robot(bag, motorcycle)
     rgb = motorcycle.rgb
     figure = cv2.imread(str(tmp_path / f'{name}.png'))
     assert figure.shape[0] > 2 * rgb.shape[0]
@@ -104,6 +105,27 @@ def test_demo_runs_the_node_over_dds(tmp_path, motorcycle):
     vertices = read_ply(tmp_path / f'{name}.ply')[1]
     assert len(vertices) == np.isfinite(motorcycle.true_depth_m).sum()
     assert (vertices['label'] == int(floor['label'])).sum() == int(floor['num_inliers'])
+
+
+def _is_a_robot(bag, motorcycle):
+    """The floor that the depth shows is the plane z = 0 of base_footprint, by TF in the bag."""
+    from rosbags.highlevel import AnyReader
+
+    from plane_detector.geometry.projection import depth_to_points
+    from plane_detector.geometry.rigid_transform import RigidTransform
+    with AnyReader([bag]) as reader:
+        (connection,) = (one for one in reader.connections if one.topic == '/tf_static')
+        ((_, _, raw),) = reader.messages([connection])
+        edges = reader.deserialize(raw, connection.msgtype).transforms
+    assert [(one.header.frame_id, one.child_frame_id) for one in edges] == [
+        ('odom', 'base_footprint'), ('base_footprint', 'camera_color_optical_frame')]
+    to, turn = edges[1].transform.translation, edges[1].transform.rotation
+    place = RigidTransform.from_quaternion((turn.x, turn.y, turn.z, turn.w), (to.x, to.y, to.z))
+    points_m = depth_to_points(motorcycle.true_depth_m.astype(np.float32), motorcycle.intrinsics)
+    floor_m = place.points(points_m[-60:].reshape(-1, 3).astype(float))  # nearest to the robot
+    floor_m = floor_m[np.isfinite(floor_m).all(axis=1)]
+    assert abs(np.median(floor_m[:, 2])) < 0.02
+    assert np.median(floor_m[:, 0]) > 1.0  # x is forward
 
 
 def test_demo_is_quiet_when_it_is_ended(tmp_path):
@@ -122,6 +144,7 @@ def test_demo_is_quiet_when_it_is_ended(tmp_path):
     (['--images', '.'], 'demo: no image in'),
     (['--images', 'one.jpg'], 'demo: there is no image or folder one.jpg'),
     (['--fx', '525'], 'demo: a calibration'),
+    (['--mounting', 'upright'], 'demo: a calibration, a field of view or a mounting is for your'),
     (['--model', 'nowhere.onnx'], 'demo: --model nowhere.onnx is neither a file nor one of '),
     (['--model', __file__], 'demo: --model-output must state the output of a network file')])
 def test_demo_reports_wrong_arguments(tmp_path, monkeypatch, capsys, arguments, reason):
