@@ -40,7 +40,7 @@ from plane_detector.segmentation.pixels.edge_snapping import (
 from plane_detector.segmentation.pixels.gaps import close_gaps
 from plane_detector.segmentation.pixels.labelling import label_pixels
 from plane_detector.segmentation.pixels.smears import find_smears
-from plane_detector.segmentation.regions.competition import compete_for_cells, reassign_cells
+from plane_detector.segmentation.regions.competition import compete_for_cells
 from plane_detector.segmentation.regions.curved import MAX_RADIUS_M, find_curved
 from plane_detector.segmentation.regions.depth_steps import split_at_depth_steps
 from plane_detector.segmentation.regions.merging import (
@@ -198,7 +198,6 @@ def _measured(frame: Frame, regions: PlaneRegions, correlation: Correlation | No
     # Only if creases do not stand far above the noise it can hide steps.
     if not sees_creases(frame.grid, frame.noise, MAX_DEVIATIONS**2):
         regions = split_at_depth_steps(frame, regions, correlation, recall)
-        regions = reassign_cells(frame, regions, correlation)
     graph = merge_coplanar(cells, RegionGraph.of(cells, regions), correlation, recall)
     return _label_flat_regions(frame, graph, correlation,
                                frame.config.segmentation.flatness_angle, recall)

@@ -42,7 +42,6 @@ _REGIONS = 'plane_detector.segmentation.regions'
 STAGES: dict[str, tuple[str, Callable[..., Any]]] = {
     'competition for cells': (f'{_SEGMENT}.compete_for_cells', lambda frame, regions: regions),
     'depth steps': (f'{_SEGMENT}.split_at_depth_steps', lambda frame, regions, *_: regions),
-    'correlated errors': (f'{_SEGMENT}.reassign_cells', lambda frame, regions, *_: regions),
     'model selection': (f'{_REGIONS}.merging.prefer_two_planes', lambda *_: False),
     'merging behind objects': (f'{_REGIONS}.merging._is_hidden_between', lambda *_: False),
     'coplanar regions': (f'{_SEGMENT}.merge_coplanar', lambda cells, graph, *_: graph),

@@ -55,7 +55,7 @@ from plane_detector.segmentation.cells.plane_fit import (
 )
 from plane_detector.segmentation.memory import Decision, Recall
 from plane_detector.segmentation.regions.curved import MAX_RATIO, MIN_NOISE_SHARE, fit_quadric
-from plane_detector.segmentation.regions.model_selection import MAX_CELLS, prefer_two_planes
+from plane_detector.segmentation.regions.model_selection import prefer_two_planes
 from plane_detector.segmentation.regions.region_graph import (
     NORMAL_SQUARES,
     NORMAL_X,
@@ -91,6 +91,8 @@ class OnePlane(NamedTuple):
         Largest angle between them.
     min_pairs : int
         Pairs of cells along their border: 1 if they must touch, else 0.
+    shared_cells : float
+        Number of cells that share their error; 0 if unknown.
 
     """
 
@@ -99,11 +101,16 @@ class OnePlane(NamedTuple):
     max_gap: float = np.inf
     max_fold_deg: float = np.inf
     min_pairs: int = 1
+    shared_cells: float = 0.0
 
 
 # Largest mean square of the cells of a bulge about the plane, in variances: 3.5 deviations.
 # tuned: benchmark sensitivity of bb08c3e; flat to 1.4 times; at 0.7 times precision -0.123.
 MAX_BULGE_VARIANCES = 3.5**2
+# The same of one error of the noise, 4.5 deviations, however many cells share it: of the hundreds of
+# errors in an image some exceed the limit above, and would stay as small planes.
+# tuned: single walls in blurred noise, of 12 all are one plane, 5 without it; NYU +.003 SC.
+MAX_SHARED_VARIANCES = 20.0
 # Largest ratio of the error of a joint quadric to that of the own plane, in each region of a wall.
 # tuned: 14 real frames through FastDepth, SC with the planes of the sensor's depth; flat to 1.4
 # times; at 0.7 times precision -0.013.
@@ -126,6 +133,8 @@ UNSHARED_POWER = 6
 # not touch are two planes, however small their angle is.
 # derived: chi-squared with the three coefficients of a plane reaches it once in a thousand times.
 MIN_HIDDEN_GAIN = 16.3
+# chosen: as many cells as lie within three of the border of a piece a sixth of the image wide.
+SLOW_CELLS = 192
 
 
 def merge_coplanar(cells: WeightedCells, graph: RegionGraph,
@@ -148,6 +157,7 @@ def merge_coplanar(cells: WeightedCells, graph: RegionGraph,
         Planes refitted to all their cells.
 
     """
+    shared_cells = correlation.density / correlation.table[0, 0] if correlation else 0.0
     unshared = correlation and correlation.density / correlation.bending**UNSHARED_POWER
 
     def is_apart(graph: RegionGraph, i: int, j: int, misfit: float) -> bool:
@@ -164,7 +174,7 @@ def merge_coplanar(cells: WeightedCells, graph: RegionGraph,
         return prefer_two_planes(cells, graph.labels, correlation, i, j, recall)
 
     for min_pairs in (1, 0):  # neighbours first
-        test = OnePlane(PLANE, MAX_JOINT_VARIANCES, min_pairs=min_pairs)
+        test = OnePlane(PLANE, MAX_JOINT_VARIANCES, min_pairs=min_pairs, shared_cells=shared_cells)
         graph = merge_pairs(graph, partial(misfits, test=test), is_apart,
                             recall.most if recall else 1.0)
     return graph.without_merged()
@@ -201,7 +211,7 @@ def _gain_of_two(planes, sums, pair):
     """
     Return how much worse a joint plane fits two regions than their own, in variances.
 
-    Of large regions that of MAX_CELLS cells: slow errors do not average out over more.
+    Of large regions that of SLOW_CELLS cells: slow errors do not average out over more.
     """
     i, j = pair
     a, b, c = fit_plane(sums[i, :10] + sums[j, :10])
@@ -209,7 +219,7 @@ def _gain_of_two(planes, sums, pair):
     for k in pair:
         own = squared_error(planes[k, 0], planes[k, 1], planes[k, 2], sums[k])
         gain += (squared_error(a, b, c, sums[k]) - own) * sums[k, N] / sums[k, VARIANCE]
-    return gain * min(1.0, MAX_CELLS / (sums[i, N] + sums[j, N]))
+    return gain * min(1.0, SLOW_CELLS / (sums[i, N] + sums[j, N]))
 
 
 def merge_bowed_walls(graph: RegionGraph) -> RegionGraph:
@@ -272,9 +282,9 @@ def misfits(graph: RegionGraph, test: OnePlane) -> np.ndarray:
 
 
 @kernel('float64[:, ::1](float64[:, ::1], float64[:, ::1], float64[:, :, ::1], float64[::1], '
-        'Tuple((int64, float64, float64, float64, int64)))', is_short=True)
+        'Tuple((int64, float64, float64, float64, int64, float64)))', is_short=True)
 def _misfits(planes, sums, borders, lens, test):
-    surface, tolerance, max_gap, max_fold_deg, min_pairs = test
+    surface, tolerance, max_gap, max_fold_deg, min_pairs, shared_cells = test
     misfit, joint = np.full((len(planes), len(planes)), np.inf), np.empty(10)
     for i in range(len(planes)):
         for j in range(i + 1, len(planes)):
@@ -295,6 +305,9 @@ def _misfits(planes, sums, borders, lens, test):
                 bulge = squared_error(planes[large, 0], planes[large, 1], planes[large, 2],
                                       sums[small]) / sums[small, VARIANCE]
                 misfit[i, j] = min(misfit[i, j], bulge / MAX_BULGE_VARIANCES)
+                if shared_cells > 0:
+                    misfit[i, j] = min(misfit[i, j], bulge / MAX_SHARED_VARIANCES
+                                       * max(sums[small, N] / shared_cells, 1.0))
     return misfit
 
 

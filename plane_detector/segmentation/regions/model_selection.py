@@ -1,12 +1,19 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-One plane or two: model selection for regions that lie within the noise of each other.
+One plane or two: whether a step or a crease runs along the border of two regions.
 
-Smooth noise shifts whole regions, but it neither jumps nor bends sharply: from one cell to the
-next it changes by far less than its standard deviation. Generalised least squares (Aitken 1936)
-uses that: a likelihood-ratio test under correlated noise compares two planes with one plane on
-the cells around the border.
+Two tests of the cells at the border:
+
+- A step. Two parallel planes are fitted to the cells, and the step between them is compared with
+  its error (Wald 1943). What counts as error is how much windows of cells on one side differ: it
+  is seen at this border, and contains what a sensor's noise is there, bends and ripples included.
+  Depth in terraces has steps between windows that do not differ at all, so that the second test
+  must speak for two planes too, if not as clearly.
+- A crease. Smooth noise shifts whole regions, but it does not bend sharply: from one cell to the
+  next it changes by far less than its standard deviation. Generalised least squares (Aitken 1936)
+  uses that: a likelihood-ratio test under correlated noise compares two planes with one. It is
+  enough by itself.
 """
 
 from __future__ import annotations
@@ -27,22 +34,28 @@ from plane_detector.segmentation.cells.plane_fit import solve_least_squares
 from plane_detector.segmentation.memory import Decision, Recall
 from plane_detector.segmentation.regions.region_graph import PLANE_TERMS
 
-# Smooth noise hardly changes over so many cells: those up to this far around the smaller region
-# are used, and depth steps are seen along as many.
-# tuned: on rooms and lived-in rooms below seed 9000; flat from 2 to 4.
-REACH_CELLS = 3
-# Most cells used, nearest to the border first; the time grows with the cube.
-# tuned: on rooms and lived-in rooms below seed 9000, flat from 64 to 256; with 128 hardly any
-# picture frame on a wall is seen.
+# Cells up to this far from the other region are used.
+# tuned: scores steps and measured, seeds 200 to 211; flat from 5 to 7.
+BORDER_CELLS = 5
+# Most cells used for a crease, nearest to the border first; the time grows with the cube.
+# tuned: as above; flat from 96, lived-in rooms at noise 0.01 -.026 SC at 64; long creases need
+# more.
 MAX_CELLS = 192
-# Twice the limit, reached by so many cells next to the border, ends a test.
-# chosen: a quarter, which costs a tenth; more cells hardly ever halve a gain.
-NEAREST_CELLS = MAX_CELLS // 4
-# Twice the gain in log-likelihood that blurred noise hardly ever reaches, times its power, 2:
-# rougher noise contains more edges.
-# tuned: rooms and lived-in rooms below seed 9000; flat from 0.85 times; at 0.7 times precision of
-# rooms -0.02 at noise 0.01, at 1.4 times recall of lived-in rooms -0.015 at 0.004.
-MIN_LOG_LIKELIHOOD_GAIN = 28.0
+# Twice the gain in log-likelihood that errors of sensors hardly ever reach, times the power of
+# blurred noise, 2: rougher noise contains more edges.
+# tuned: as above; at 28, 45, 70 and 112 SC of sensors .973, .975, .980 and .980, of rooms at noise
+# 0.01 .915, .913, .908 and .906, of lived-in rooms at .004 .707, .699, .698 and .694.
+MIN_LOG_LIKELIHOOD_GAIN = 45.0
+# The square of a step over its standard error that surfaces of sensors hardly ever reach.
+# tuned: as above; flat from 110 to 160; NYU -.012 SC at 80.
+MIN_STEP = 110.0
+# A step counts from this share of the least gain on: depth in terraces has steps with no error.
+# tuned: terraces of benchmark labelled, seeds 300 to 311: of 12 largest surfaces none is in pieces,
+# two without it; steps on real surfaces have .3 to 8, but two of .05 and .1.
+MIN_GAIN_SHARE = 0.2
+# A window is 3 x 3 cells, and at least two thirds of them are of its region.
+# chosen: errors of sensors are shared by about so many pixels, 24 along a side.
+WINDOW_CELLS, MIN_WINDOW_CELLS = 9, 6
 
 
 def prefer_two_planes(cells: WeightedCells, labels: np.ndarray, correlation: Correlation | None,
@@ -70,56 +83,45 @@ def prefer_two_planes(cells: WeightedCells, labels: np.ndarray, correlation: Cor
     """
     if correlation is None:
         return False
-    limit = MIN_LOG_LIKELIHOOD_GAIN / correlation.power
-    gain = log_likelihood_gain(np.ascontiguousarray(labels), cells.table, cells.is_planar,
+    evidence = evidence_of_two(np.ascontiguousarray(labels), cells.table, cells.is_planar,
                                correlation.of_neighbours, (first, second),
-                               (2 * limit, cells.least_variance))
+                               (MIN_LOG_LIKELIHOOD_GAIN / correlation.power,
+                                cells.least_variance))
     if recall is None:
-        return gain > limit
-    return recall.is_two(Decision.GAIN, gain / limit, labels, (first, second))
+        return evidence > 1
+    return recall.is_two(Decision.GAIN, evidence, labels, (first, second))
 
 
-# With MAX_CELLS it takes 0.2 ms and keeps the lock, as the node switches threads after 1 ms; with
-# the usual number 0.03 ms.
 @kernel('float64(int32[:, ::1], float64[:, ::1], boolean[::1], float64[:, ::1], '
         'UniTuple(int64, 2), UniTuple(float64, 2))', is_short=True)
-def log_likelihood_gain(labels, table, is_planar, covariance, pair, limits):
+def evidence_of_two(labels, table, is_planar, covariance, pair, limits):
     """
-    Return twice the gain of two planes over one, of fewer cells if these show enough.
+    Return the evidence for a step or a crease over its limit, whichever is more.
 
-    ``limits`` are what is enough, and the variance of the cell that varies least: what others vary
-    more, as steep ones do, is independent of their neighbours.
+    ``limits`` are that of the gain, and the variance of the cell that varies least: what others
+    vary more, as steep ones do, is independent of their neighbours.
     """
-    (cell, is_first), columns, gain = _cells_about(labels, is_planar, pair), labels.shape[1], 0.0
-    for most in (NEAREST_CELLS, MAX_CELLS):
-        if gain < limits[0] and (most == NEAREST_CELLS or len(cell) > NEAREST_CELLS):
-            gain = _gain(table, covariance, columns, cell[:most], is_first[:most], limits[1])
-    return gain
-
-
-@kernel('float64(float64[:, ::1], float64[:, ::1], int64, int64[::1], boolean[::1], float64)')
-def _gain(table, covariance, columns, cell, is_first, least):
-    """Return twice the gain of two planes over one; 0 if either has too few cells for a fit."""
-    of_first = 0
+    (cell, is_first), columns, of_first = _cells_about(labels, is_planar, pair), labels.shape[1], 0
     for i in range(len(cell)):
         of_first += is_first[i]
     if min(of_first, len(cell) - of_first) <= PLANE_TERMS:
         return 0.0
-    products = _weighted_products(_system(table, covariance, columns, cell, is_first,
-                                          least))
-    one = solve_least_squares(products, PLANE_TERMS, np.empty(7))
-    return one - solve_least_squares(products, 2 * PLANE_TERMS, np.empty(7))
+    step = squared_step(table, columns, cell, is_first) / MIN_STEP
+    products = _weighted_products(_system(table, covariance, columns, cell[:MAX_CELLS],
+                                          is_first[:MAX_CELLS], limits[1]))
+    gain = (solve_least_squares(products, PLANE_TERMS, np.empty(7))
+            - solve_least_squares(products, 2 * PLANE_TERMS, np.empty(7)))
+    gain /= limits[0]
+    return max(step, gain) if gain > MIN_GAIN_SHARE else gain
 
 
 @kernel('Tuple((int64[::1], boolean[::1]))(int32[:, ::1], boolean[::1], UniTuple(int64, 2))')
 def _cells_about(labels, is_planar, pair):
-    """Return the cells (n,) nearest to a border, and which of them are the first region's."""
+    """Return the cells (n,) about a border, nearest first, and which are the first region's."""
     columns, (top, bottom, left, right) = labels.shape[1], _box_of_smaller(labels, pair)
     near = labels[top:bottom, left:right]
     to_first, to_second = _distance(near, pair[0]), _distance(near, pair[1])
-    # Counting sort by distance.
-    distance = np.zeros(near.shape, np.int64)
-    start = np.zeros(near.shape[0] + near.shape[1] + 2, np.int64)
+    distance, count = np.zeros(near.shape, np.int64), np.zeros(BORDER_CELLS + 1, np.int64)
     for row in range(near.shape[0]):
         for column in range(near.shape[1]):
             if not is_planar[(top + row) * columns + left + column]:
@@ -128,20 +130,64 @@ def _cells_about(labels, is_planar, pair):
                 distance[row, column] = to_second[row + 1, column + 1]
             elif near[row, column] == pair[1]:
                 distance[row, column] = to_first[row + 1, column + 1]
-            if distance[row, column] > 0:
-                start[distance[row, column] + 1] += 1
-    for k in range(1, len(start)):
-        start[k] += start[k - 1]
-    n = min(start[-1], MAX_CELLS)
-    cell, is_first = np.empty(n, np.int64), np.zeros(n, np.bool_)
-    for row in range(near.shape[0]):
-        for column in range(near.shape[1]):
-            apart = distance[row, column]
-            if apart > 0 and start[apart] < n:
-                cell[start[apart]] = (top + row) * columns + left + column
-                is_first[start[apart]] = near[row, column] == pair[0]
-            start[apart] += apart > 0
+            if 0 < distance[row, column] <= BORDER_CELLS:
+                count[distance[row, column]] += 1
+    cell, is_first, n = np.empty(count.sum(), np.int64), np.zeros(count.sum(), np.bool_), 0
+    for apart in range(1, BORDER_CELLS + 1):
+        for row in range(near.shape[0] if count[apart] > 0 else 0):
+            for column in range(near.shape[1]):
+                if distance[row, column] == apart:
+                    cell[n] = (top + row) * columns + left + column
+                    is_first[n] = near[row, column] == pair[0]
+                    n += 1
     return cell, is_first
+
+
+@kernel('float64(float64[:, ::1], int64, int64[::1], boolean[::1])')
+def squared_step(table, columns, cell, is_first):
+    """Return the square of the step between two parallel planes over that of its error."""
+    n, x, y, d = len(cell), 0.0, 0.0, 0.0
+    for i in range(n):
+        x += table[cell[i], MEAN_X] / n
+        y += table[cell[i], MEAN_Y] / n
+        d += table[cell[i], MEAN_D] / n
+    products, model = np.zeros((5, 5)), np.empty(5)
+    terms, at = np.ones((n, 5)), np.full(len(table), -1)
+    for i in range(n):
+        terms[i, 1], terms[i, 2] = table[cell[i], MEAN_X] - x, table[cell[i], MEAN_Y] - y
+        terms[i, 3], terms[i, 4] = np.float64(is_first[i]), table[cell[i], MEAN_D] - d
+        at[cell[i]] = i
+        for row in range(5):
+            for column in range(5):
+                products[row, column] += terms[i, row] * terms[i, column]
+    # What the plane does not explain of the step: the inverse of the variance of its estimate.
+    known = solve_least_squares(products[:4, :4].copy(), PLANE_TERMS, np.empty(4))
+    variance = solve_least_squares(products, PLANE_TERMS + 1, model) / n
+    residual = np.empty(n)
+    for i in range(n):
+        residual[i] = terms[i, 4]
+        for k in range(4):
+            residual[i] -= model[k] * terms[i, k]
+    square, windows = np.zeros(2), np.zeros(2)
+    for i in range(n):
+        row, column, total, count = cell[i] // columns, cell[i] % columns, 0.0, 0
+        for r in range(max(row - 1, 0), min(row + 2, len(table) // columns)):
+            for c in range(max(column - 1, 0), min(column + 2, columns)):
+                j = at[r * columns + c]
+                if j >= 0 and is_first[j] == is_first[i]:
+                    total += residual[j]
+                    count += 1
+        if count >= MIN_WINDOW_CELLS:
+            square[int(is_first[i])] += (total / count) ** 2
+            windows[int(is_first[i])] += 1
+    spread, sides = 0.0, 0
+    for side in range(2):
+        if windows[side] > 2:
+            spread += WINDOW_CELLS * square[side] / windows[side]
+            sides += 1
+    # A cell has the variance that it brings to the mean of a window, at least its own.
+    variance = max(spread / sides if sides else PLANE_TERMS * variance, variance)
+    return model[PLANE_TERMS] ** 2 * known / max(variance, MIN_VARIANCE)
 
 
 @kernel('UniTuple(int64, 4)(int32[:, ::1], UniTuple(int64, 2))')
@@ -156,10 +202,10 @@ def _box_of_smaller(labels, pair):
             for k in range(2):
                 if labels[row, column] == pair[k]:
                     sizes[k] += 1
-                    boxes[k, 0] = min(boxes[k, 0], max(row - REACH_CELLS, 0))
-                    boxes[k, 1] = max(boxes[k, 1], min(row + REACH_CELLS + 1, rows))
-                    boxes[k, 2] = min(boxes[k, 2], max(column - REACH_CELLS, 0))
-                    boxes[k, 3] = max(boxes[k, 3], min(column + REACH_CELLS + 1, columns))
+                    boxes[k, 0] = min(boxes[k, 0], max(row - BORDER_CELLS, 0))
+                    boxes[k, 1] = max(boxes[k, 1], min(row + BORDER_CELLS + 1, rows))
+                    boxes[k, 2] = min(boxes[k, 2], max(column - BORDER_CELLS, 0))
+                    boxes[k, 3] = max(boxes[k, 3], min(column + BORDER_CELLS + 1, columns))
     k = int(sizes[1] <= sizes[0])
     return boxes[k, 0], boxes[k, 1], boxes[k, 2], boxes[k, 3]
 
