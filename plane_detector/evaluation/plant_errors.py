@@ -94,7 +94,7 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
          'the ratio of local noise is not passed on')),
     'segmentation/cells/noise_correlation.py': (
         ('residuals[i] -= quadric', 'residuals[i] += quadric', 'bows are added'),),
-    'segmentation/search/hypotheses.py': (
+    'segmentation/search/ransac.py': (
         ('return planes[:n], share', 'return planes[:n], 0.0', 'the same windows in each round'),),
     'segmentation/regions/depth_steps.py': (
         ('2 * count[row, column] >=', '9 * count[row, column] >=',
@@ -106,6 +106,8 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
         ('1] + b * corner[0', '0] + b * corner[1', 'swapped axes of pixels'),
         ('* square * square', '* square', 'dropped factor in the tolerance of a pixel'),
         ('np.float32(1 / 9)', 'np.float32(1 / 8)', 'wrong factor of a mean of nine')),
+    'segmentation/regions/model_selection.py': (
+        ('WINDOW_CELLS * square', 'square', 'windows are as sure as nine cells'),),
     'segmentation/fine_pass.py': (
         ('* (own - other) >', '* (own - other) <', 'the wrong side of an intersection'),),
     'planes/measurement.py': (

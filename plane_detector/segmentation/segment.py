@@ -37,8 +37,7 @@ from plane_detector.segmentation.pixels.edge_snapping import (
     patches_of_one_colour,
     snap_to_image_edges,
 )
-from plane_detector.segmentation.pixels.gaps import close_gaps
-from plane_detector.segmentation.pixels.labelling import label_pixels
+from plane_detector.segmentation.pixels.labelling import close_gaps, label_pixels
 from plane_detector.segmentation.pixels.smears import find_smears
 from plane_detector.segmentation.regions.competition import compete_for_cells
 from plane_detector.segmentation.regions.curved import MAX_RADIUS_M, find_curved

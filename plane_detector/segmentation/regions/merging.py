@@ -107,8 +107,8 @@ class OnePlane(NamedTuple):
 # Largest mean square of the cells of a bulge about the plane, in variances: 3.5 deviations.
 # tuned: benchmark sensitivity of bb08c3e; flat to 1.4 times; at 0.7 times precision -0.123.
 MAX_BULGE_VARIANCES = 3.5**2
-# The same of one error of the noise, 4.5 deviations, however many cells share it: of the hundreds of
-# errors in an image some exceed the limit above, and would stay as small planes.
+# The same of one error of the noise, 4.5 deviations, however many cells share it: of the hundreds
+# of errors in an image some exceed the limit above, and would stay as small planes.
 # tuned: single walls in blurred noise, of 12 all are one plane, 5 without it; NYU +.003 SC.
 MAX_SHARED_VARIANCES = 20.0
 # Largest ratio of the error of a joint quadric to that of the own plane, in each region of a wall.

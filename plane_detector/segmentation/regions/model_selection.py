@@ -50,8 +50,8 @@ MIN_LOG_LIKELIHOOD_GAIN = 45.0
 # tuned: as above; flat from 110 to 160; NYU -.012 SC at 80.
 MIN_STEP = 110.0
 # A step counts from this share of the least gain on: depth in terraces has steps with no error.
-# tuned: terraces of benchmark labelled, seeds 300 to 311: of 12 largest surfaces none is in pieces,
-# two without it; steps on real surfaces have .3 to 8, but two of .05 and .1.
+# tuned: terraces of the sensor cases, seeds 300 to 311: of 12 largest surfaces none is in pieces,
+# without it two; steps on real surfaces have .3 to 8, but two of .05 and .1.
 MIN_GAIN_SHARE = 0.2
 # A window is 3 x 3 cells, and at least two thirds of them are of its region.
 # chosen: errors of sensors are shared by about so many pixels, 24 along a side.

@@ -15,8 +15,8 @@ from plane_detector.segmentation.cells.grid import build_cell_grid
 from plane_detector.segmentation.cells.model import Frame
 from plane_detector.segmentation.cells.noise import DepthKind
 from plane_detector.segmentation.search.dbscan import cell_places, label_clusters
-from plane_detector.segmentation.search.hypotheses import WIDEST_WINDOW_CELLS, draw_planes
 from plane_detector.segmentation.search.plane_search import search_planes
+from plane_detector.segmentation.search.ransac import WIDEST_WINDOW_CELLS, draw_planes
 
 ROOMS = (3, 7, 11)
 # Of the variance of the noise, half is smooth over the image and half is grain.
