@@ -97,6 +97,7 @@ def test_a_relative_network_has_true_angles_although_it_is_open_which_axis_is_do
     assert found.gravity_camera is None and found.scale_method == 'relative'
     assert set(found.classes) == {PlaneClass.UNKNOWN}
     assert 'planes and the axes of the scene' in found.scale_note
+    assert 'directions.mounting: upright' in found.gravity_note
     seen = overlap(labels, found.labels, np.ones(labels.shape, bool))
     errors, pixels = pure_errors(seen, planes, np.stack(
         [[*plane.normal, plane.offset_m] for plane in found.planes]))

@@ -157,6 +157,8 @@ def find_directions(segments: LineSegments, evidence: Evidence | None = None,
     covariance = (across @ covariance @ across + np.radians(SYSTEMATIC_DEG) ** 2 * across
                   + along @ along.T)
     if probability < MIN_PROBABILITY:
+        reason += ('; its axes are known: state directions.mounting: upright if the camera is '
+                   'never on its side')
         return SceneDirections(None, covariance, pairs, reason, reason, probability, modes, down,
                                open_probability)
     return SceneDirections(down, covariance, pairs, '', '' if len(pairs) else refusal,
