@@ -12,7 +12,12 @@ from plane_detector import CameraIntrinsics, Config, PlaneDetector
 from plane_detector.config import DepthConfig, SegmentationConfig
 from plane_detector.evaluation.metrics import overlap, segmentation_covering
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
-from plane_detector.evaluation.scenes.rendering import box, camera_rotation, render
+from plane_detector.evaluation.scenes.rendering import (
+    Rectangle,
+    box,
+    camera_rotation,
+    render,
+)
 from plane_detector.evaluation.scenes.rooms import random_room
 from plane_detector.geometry.disparity import to_disparity
 from plane_detector.pipeline import segment_planes
@@ -133,6 +138,41 @@ def test_what_comes_is_there_in_the_first_image_and_gone_within_two(height_m):
                 and on_top.max() > 0.5 * np.count_nonzero(top))
     assert [is_apart(labels) for labels in found[:8]] == [False] * 5 + [True] * 3
     assert not is_apart(found[10])
+
+
+def moving(what):
+    """Return nine scenes of a standing camera before which something moves."""
+    scenes = []
+    for k in range(9):
+        surfaces = box([0, 0, 1.25], [4, 5, 2.5]) + box([0.5, 1.6, 0.35], [1.2, 0.8, 0.7])
+        if what == 'cart':
+            surfaces += box([-1.2 + 0.3 * k, 0.9, 0.3], [0.5, 0.4, 0.6], 15)
+        elif what == 'door':
+            turn = np.radians(10 * k)
+            surfaces += [Rectangle(np.array([-1.5, 2.2, 0.0]),
+                                   0.9 * np.array([np.cos(turn), -np.sin(turn), 0.0]),
+                                   np.array([0.0, 0.0, 2.0]))]
+        else:  # an arm over the table
+            surfaces += box([-0.4 + 0.2 * k, 1.4, 0.9], [0.12, 0.7, 0.08], 20)
+        scenes.append(render(surfaces, camera_rotation(0, -15, 0), np.array([0, -1.2, 1.4]),
+                             CAMERA, np.random.default_rng(0)))
+    return scenes
+
+
+@pytest.mark.parametrize('what', ['cart', 'door', 'arm'])
+def test_what_moves_does_not_stick(what):
+    """Each image is as near to the truth as without memory, also where something just was."""
+    scenes = moving(what)
+    depths = noisy(scenes, sigma=0.002)
+    for k, labels in enumerate(labels_of(depths)):
+        truth, alone = scenes[k].labels, single(depths[k])
+        assert likeness(truth, labels) > likeness(truth, alone) - 0.02
+        if k >= 2:  # uncovered by what was there two images ago: of the surface behind
+            uncovered = scenes[k].depth_m > scenes[k - 2].depth_m + 0.1
+            behind = np.bincount(truth[uncovered]).argmax()
+            at, around = uncovered & (truth == behind), (truth == behind) & ~uncovered
+            label = np.bincount(labels[around] + 1).argmax() - 1
+            assert np.mean(labels[at] == label) > 0.9
 
 
 def remembered(memory, labels, planes):

@@ -60,7 +60,7 @@ def test_labels_and_planes_belong_together(room, seed, sigma):
 @pytest.mark.parametrize('shape', [(1, 1), (1, 40), (7, 5), (480, 640)])
 @pytest.mark.parametrize('fill', [np.nan, np.inf, -np.inf, 0.0, -1.0, 1e30])
 def test_no_usable_depth_is_no_error_and_no_warning(shape, fill):
-    camera = CameraIntrinsics(50.0, 50.0, 1.0, 1.0, shape[1], shape[0])
+    camera = CameraIntrinsics(100.0, 100.0, 1.0, 1.0, shape[1], shape[0])
     found = consistent(np.full(shape, fill, np.float32), camera)
     assert fill == 1e30 or not len(found.planes)
 
