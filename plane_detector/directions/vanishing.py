@@ -139,14 +139,21 @@ def find_directions(segments: LineSegments, evidence: Evidence | None = None,
         masses=np.concatenate([share * modes.masses[:1], modes.masses[1:]]),
         unsided=np.concatenate([share * modes.unsided[:1], modes.unsided[1:]]), gain=gain)
     probability = float(modes.masses[0])
-    # Planes can be oriented by axes of which it is open which one is the vertical.
-    open_probability = float(share) * posterior.along(axes[0])
+    # Planes can be oriented by axes of which it is open which is the vertical: about the surest.
+    along = [posterior.along(axis) for axis in axes]
+    open_probability, surest = float(share) * max(along), int(np.argmax(along))
     if probability < MIN_PROBABILITY:
         reason = (f'{len(segments)} straight lines and the depth leave the vertical open: the '
                   f'most likely one is right with probability {probability:.2f}')
         if open_probability < MIN_PROBABILITY:
             return SceneDirections(None, np.full((3, 3), np.nan), NO_PAIRS, reason, reason,
                                    probability, modes)
+        if surest:
+            axes = np.roll(axes, -surest, axis=0)
+            pairs = NO_PAIRS if rises else _pairs(segments, evidence, axes[0], Expected())
+            fit = _fitted(segments, np.vstack([axes[:1], *pairs[:1]]) if len(pairs) else axes,
+                          (0, 1, 2) if len(pairs) else (0,))
+            down, covariance = _averaged(fit, covariance, Expected())
     if len(pairs):
         pairs = np.stack([_level(pair, down) for pair in (fit.axes[1:], *pairs[1:])])
     across = np.eye(3) - np.outer(down, down)
