@@ -300,8 +300,9 @@ class PlaneDetector:
         with timer('ground'):
             # 5. Own floor, ramps, obstacles and drops, if angles are true and gravity is known.
             gravity = around.gravity if scale.has_true_angles else NO_GRAVITY
-            ground = find_ground(_with_facets(planes, valid, seen.intrinsics, config), depth_m,
-                                 seen.intrinsics, gravity, config, state.reach,
+            surfaces = (planes if gravity.gravity_camera is None else
+                        _with_facets(planes, valid, seen.intrinsics, config))
+            ground = find_ground(surfaces, depth_m, seen.intrinsics, gravity, config, state.reach,
                                  plane_count=len(planes.planes), is_metric=scale.is_metric,
                                  doubt=seen.doubt)
             state.reach = ground.reach

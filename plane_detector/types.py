@@ -20,7 +20,7 @@ from plane_detector.plane_fields import PlaneClass, PlaneColumns, columns_of, ro
 JUMP_S = 1.0
 # chosen: the widest rectilinear lens sees 125 degrees; the focal length of a fisheye lens of 220
 # degrees is .26 times the side that its image circle fills.
-_MOST_FIELD_OF_VIEW_DEG = 160.0
+MOST_FIELD_OF_VIEW_DEG = 160.0
 # derived: 1 / (2 tan(80 degrees)) is .0882, for the field of view above.
 # chosen: 1000 times the longer side are .06 degrees, far beyond the longest telephoto lens; above
 # that, products of coefficients overflow.
@@ -143,9 +143,9 @@ class CameraIntrinsics:
         (320.0, 319.5, 239.5)
 
         """
-        if not 0 < horizontal_deg <= _MOST_FIELD_OF_VIEW_DEG:
+        if not 0 < horizontal_deg <= MOST_FIELD_OF_VIEW_DEG:
             raise ValueError('the horizontal field of view must be above 0 and at most '
-                             f'{_MOST_FIELD_OF_VIEW_DEG:g} degrees, not {horizontal_deg}')
+                             f'{MOST_FIELD_OF_VIEW_DEG:g} degrees, not {horizontal_deg}')
         focal_px = float(0.5 * width / np.tan(np.radians(horizontal_deg) / 2))
         return cls(focal_px, focal_px, (width - 1) / 2, (height - 1) / 2, width, height,
                    is_guessed)

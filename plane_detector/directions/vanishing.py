@@ -129,9 +129,7 @@ def find_directions(segments: LineSegments, evidence: Evidence | None = None,
     gain = _gain(segments, axes, evidence, expected)
     share = ((1 - roof_share) * level_share
              * (1 - LEANING) / (1 - LEANING + LEANING * np.exp(-gain)))
-    pairs = NO_PAIRS if rises else _pairs(segments, evidence, axes[0], expected)
-    fit = _fitted(segments, np.vstack([axes[:1], *pairs[:1]]) if len(pairs) else axes,
-                  (0, 1, 2) if len(pairs) else (0,))
+    pairs, fit = _about_the_first(segments, axes, evidence, expected, rises)
     down, covariance = _averaged(fit, modes.covariances[0], expected)
     modes = replace(
         modes, downs=np.vstack([down, modes.downs[1:]]),
@@ -139,10 +137,11 @@ def find_directions(segments: LineSegments, evidence: Evidence | None = None,
         masses=np.concatenate([share * modes.masses[:1], modes.masses[1:]]),
         unsided=np.concatenate([share * modes.unsided[:1], modes.unsided[1:]]), gain=gain)
     probability = float(modes.masses[0])
-    # Planes can be oriented by axes of which it is open which is the vertical: about the surest.
-    along = [posterior.along(axis) for axis in axes]
-    open_probability, surest = float(share) * max(along), int(np.argmax(along))
     if probability < MIN_PROBABILITY:
+        # Planes can be oriented by axes of which it is open which is the vertical: about the
+        # surest.
+        along = [posterior.along(axis) for axis in axes]
+        open_probability, surest = float(share) * max(along), int(np.argmax(along))
         reason = (f'{len(segments)} straight lines and the depth leave the vertical open: the '
                   f'most likely one is right with probability {probability:.2f}')
         if open_probability < MIN_PROBABILITY:
@@ -150,9 +149,7 @@ def find_directions(segments: LineSegments, evidence: Evidence | None = None,
                                    probability, modes)
         if surest:
             axes = np.roll(axes, -surest, axis=0)
-            pairs = NO_PAIRS if rises else _pairs(segments, evidence, axes[0], Expected())
-            fit = _fitted(segments, np.vstack([axes[:1], *pairs[:1]]) if len(pairs) else axes,
-                          (0, 1, 2) if len(pairs) else (0,))
+            pairs, fit = _about_the_first(segments, axes, evidence, Expected(), rises)
             down, covariance = _averaged(fit, covariance, Expected())
     if len(pairs):
         pairs = np.stack([_level(pair, down) for pair in (fit.axes[1:], *pairs[1:])])
@@ -160,9 +157,9 @@ def find_directions(segments: LineSegments, evidence: Evidence | None = None,
     refusal = ('no horizontal axes are perpendicular to the upright lines' if rises else
                'the lines and the depth leave the azimuth of the horizontal axes open')
     # A wrong focal length tilts a direction towards or away from the optical axis.
-    along = across[:, 2:] * evidence.focal_error * down[2]
+    tilt = across[:, 2:] * evidence.focal_error * down[2]
     covariance = (across @ covariance @ across + np.radians(SYSTEMATIC_DEG) ** 2 * across
-                  + along @ along.T)
+                  + tilt @ tilt.T)
     if probability < MIN_PROBABILITY:
         reason += ('; its axes are known: state directions.mounting: upright if the camera is '
                    'never on its side')
@@ -170,6 +167,15 @@ def find_directions(segments: LineSegments, evidence: Evidence | None = None,
                                open_probability)
     return SceneDirections(down, covariance, pairs, '', '' if len(pairs) else refusal,
                            probability, modes)
+
+
+def _about_the_first(segments: LineSegments, axes: np.ndarray, evidence: Evidence,
+                     expected: Expected, rises: bool) -> tuple[np.ndarray, FrameFit]:
+    """Return pairs (P, 2, 3) about the first of the axes (3, 3), and the fit of all to lines."""
+    pairs = NO_PAIRS if rises else _pairs(segments, evidence, axes[0], expected)
+    if len(pairs):
+        return pairs, _fitted(segments, np.vstack([axes[:1], pairs[0]]), (0, 1, 2))
+    return pairs, _fitted(segments, axes, (0,))
 
 
 def _share_under_roof(axes: np.ndarray, evidence: Evidence, expected: Expected) -> float:

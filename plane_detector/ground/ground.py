@@ -407,7 +407,7 @@ def find_ground(found: PlaneSegmentation, depth_m: np.ndarray, intrinsics: Camer
     reach : SensorReach
         Of the images of the stream before.
     plane_count : int, optional
-        Those behind so many are no planes, but pieces of curved surfaces. Default: none are.
+        How many of them are planes: the rest are pieces of curved surfaces. Default: all.
     is_metric : bool
         Whether lengths are in metres. If not, the camera is taken to be 1 m above the floor for
         the classes, and there are neither ground nor drops, nor steps.
@@ -494,7 +494,7 @@ def find_ground(found: PlaneSegmentation, depth_m: np.ndarray, intrinsics: Camer
         doubt = _unseen(depth_m, labels, rays, surfaces, known_m, walkable)
     is_ground = joined | lower
     if plane_count is not None and plane_count < len(found.planes):
-        # What is no ground, is judged pixel by pixel as all that is no plane.
+        # Pieces that are not ground are judged pixel by pixel, as whatever has no plane.
         names = np.arange(len(found.planes))
         names[plane_count:][~is_ground[plane_count:-1]] = -1
         pixels = replace(pixels, labels=rename_labels(labels, names))

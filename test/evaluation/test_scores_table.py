@@ -12,7 +12,6 @@ from plane_detector.evaluation.scenes.rooms import random_room, single_wall
 from plane_detector.evaluation.scores import __main__ as program
 from plane_detector.evaluation.scores import classes
 from plane_detector.evaluation.scores.clips import Shot
-from plane_detector.evaluation.scores.fronts import MEASUREMENTS
 from plane_detector.evaluation.scores.table import (
     HIGHER,
     LOWER,
@@ -115,7 +114,7 @@ def test_seeds_of_a_date_are_for_reporting():
 
 
 def test_every_floor_is_of_a_front_and_every_name_is_of_one():
-    names = [name for one in MEASUREMENTS for name in one.all_fronts]
+    names = [name for one in program.MEASUREMENTS for name in one.all_fronts]
     assert len(names) == len(set(names))
     assert set(read_floors(program.FLOORS)[1]) <= set(names)
 

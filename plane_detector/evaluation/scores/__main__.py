@@ -36,11 +36,12 @@ from plane_detector.evaluation.benchmark.report import (
     machine,
     table,
 )
-from plane_detector.evaluation.scores.fronts import MEASUREMENTS
+from plane_detector.evaluation.scores import colour, cost, measured, robots
 from plane_detector.evaluation.scores.table import (
     Draw,
     Floor,
     Job,
+    Measurement,
     Row,
     first_seed,
     read_floors,
@@ -53,6 +54,8 @@ from plane_detector.evaluation.scores.table import (
 
 FLOORS = Path(__file__).with_name('floors.csv')
 ROOT = Path(__file__).parents[3]
+MEASUREMENTS: tuple[Measurement, ...] = (
+    *measured.MEASUREMENTS, *colour.MEASUREMENTS, *robots.MEASUREMENTS, *cost.MEASUREMENTS)
 GROUPS = tuple(dict.fromkeys(one.group for one in MEASUREMENTS))
 COMPILED = ('geometry', 'segmentation', 'planes', 'ground', 'network', 'mapping', 'ros')
 # Takes a minute on both cores alone: only if it is named.

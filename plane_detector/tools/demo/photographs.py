@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from plane_detector.geometry.rectification import Reduction
-from plane_detector.types import CameraIntrinsics
+from plane_detector.types import MOST_FIELD_OF_VIEW_DEG, CameraIntrinsics
 
 # Horizontal field of view for images without calibration, typical of phones and webcams.
 _FIELD_OF_VIEW_DEG = 60.0
@@ -39,9 +39,10 @@ class Lens:
             raise ValueError('fy, cx and cy need fx')
         if self.fx is not None and self.field_of_view_deg is not None:
             raise ValueError('either fx or a field of view, not both')
-        if self.field_of_view_deg is not None and not 1 <= self.field_of_view_deg <= 160:
-            raise ValueError('the field of view must be from 1 to 160 degrees, not '
-                             f'{self.field_of_view_deg:g}')
+        if (self.field_of_view_deg is not None
+                and not 1 <= self.field_of_view_deg <= MOST_FIELD_OF_VIEW_DEG):
+            raise ValueError(f'the field of view must be from 1 to {MOST_FIELD_OF_VIEW_DEG:g} '
+                             f'degrees, not {self.field_of_view_deg:g}')
 
     def intrinsics(self, width: int, height: int) -> CameraIntrinsics:
         """Return the pinhole model for an image of this size."""
