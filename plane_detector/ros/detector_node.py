@@ -87,7 +87,7 @@ class PlaneDetectorNode(LifecycleNode):
 
     Raises
     ------
-    ValueError, rclpy.exceptions.ParameterException
+    ValueError
         A parameter has an invalid value.
 
     """

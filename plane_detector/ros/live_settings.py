@@ -69,8 +69,8 @@ class LiveSettings:
     Current settings, from the parameters that it declares on a node.
 
     ``is_configured`` returns whether the settings that are read at configure may not change now;
-    ``on_change`` is called after each change, in the thread of the executor. Raises ValueError or
-    rclpy's ParameterException if a parameter has an invalid value.
+    ``on_change`` is called after each change, in the thread of the executor. Raises ValueError if
+    a parameter has an invalid value.
     """
 
     def __init__(self, node: Node, is_configured: Callable[[], bool],

@@ -19,6 +19,7 @@ from typing import Any, TypeVar
 
 import yaml
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
@@ -33,9 +34,9 @@ def declare(node: Node, defaults: AnySettings) -> AnySettings:
     """
     Declare every field as a parameter, and return the settings with their initial values.
 
-    Raises ValueError or rclpy's ParameterException if one is out of range or has another type.
+    Raises ValueError if one is out of range or has another type.
     """
-    return updated(defaults, [_declare_one(node, name, descriptor(field, value), value)
+    return updated(defaults, [_declare_one(node, name, field, value)
                               for name, field, value in parameters_of(defaults)])
 
 
@@ -147,16 +148,27 @@ def descriptor(field: Field, default: Any) -> ParameterDescriptor:
     return result
 
 
-def _declare_one(node: Node, name: str, described: ParameterDescriptor, default: Any) -> Parameter:
+def _declare_one(node: Node, name: str, field: Field, default: Any) -> Parameter:
     """Declare a parameter; accepts an integer for a float, which rclpy rejects."""
-    if isinstance(_first(default), float):
-        given = node.declare_parameter(name, None, ParameterDescriptor(dynamic_typing=True)).value
-        node.undeclare_parameter(name)
-        value = _as_float(default, given)
-        if value is not given:
-            return node.declare_parameter(name, value, described, ignore_override=True)
-    value = list(default) if isinstance(default, tuple) else default
-    return node.declare_parameter(name, value, described)
+    given = node.declare_parameter(name, None, ParameterDescriptor(dynamic_typing=True)).value
+    node.undeclare_parameter(name)
+    value = _as_float(default, given)
+    is_converted = value is not given
+    if not is_converted:
+        value = list(default) if isinstance(default, tuple) else default
+    try:
+        return node.declare_parameter(name, value, descriptor(field, default),
+                                      ignore_override=is_converted)
+    except (InvalidParameterTypeException, InvalidParameterValueException) as error:
+        wanted = ', '.join(filter(None, (_kind(default), _constraints(field.metadata))))
+        raise ValueError(f'{name} must be {wanted}, not {given!r}') from error
+
+
+def _kind(default: Any) -> str:
+    """Return what values of a parameter are, in words."""
+    kind = {bool: 'true or false', int: 'a whole number', float: 'a number', str: 'a text'}[
+        type(_first(default))]
+    return f'a list, each {kind}' if isinstance(default, tuple) else kind
 
 
 def _first(value: Any) -> Any:

@@ -10,7 +10,6 @@ from collections.abc import Callable
 from typing import NoReturn
 
 import rclpy
-from rclpy.exceptions import ParameterException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
@@ -88,7 +87,7 @@ def _init(args: list[str] | None) -> None:
 def _made(make_node: Callable[[], Node]) -> Node:
     try:
         return make_node()
-    except (ValueError, ParameterException) as error:
+    except ValueError as error:
         raise CannotRunError(str(error)) from error
 
 
