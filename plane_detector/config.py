@@ -401,8 +401,8 @@ class NodeConfig(Settings):
         '', 'frame of the robot with its origin on the floor, such as base_footprint: direction '
         'of gravity and height of the camera come from TF; empty: off')
     target_frame: str = fixed_setting(
-        '', 'frame of the clouds, planes, poses and markers, such as base_link, odom or map, by '
-        'TF; empty: that of the image')
+        '', 'frame of the clouds, planes, poses, markers and grid, such as base_link, odom or '
+        'map, by TF; empty: that of the image')
     points_color: str = setting(
         'image', 'colours of ~/points: those of the image, one per plane as in the markers '
         '(label), or both mixed as in the overlay', choices=('image', 'label', 'overlay'))

@@ -7,7 +7,6 @@ from __future__ import annotations
 from array import array
 
 import numpy as np
-from geometry_msgs.msg import Pose
 from nav_msgs.msg import MapMetaData, OccupancyGrid
 from std_msgs.msg import Header
 
@@ -16,14 +15,20 @@ from plane_detector.ground.grid import level_frame, occupancy_grid
 from plane_detector.ros.outputs.frame import DetectedFrame
 from plane_detector.ros.outputs.messages import pose_msgs
 
+# Cosine of the angle between up and the z axis of a target frame with level cells. Chosen: halfway
+# between frames that stand (odom, base_link, also on ramps) and frames that lie (optical ones).
+LEAST_UP = 0.7
+
 
 def grid_to_msg(frame: DetectedFrame) -> OccupancyGrid | None:
     """
-    Return the grid in base_frame, or in the level frame under the camera, which its origin states.
+    Return the grid around the robot, or None while drops cannot be detected: free may end at one.
 
-    None while drops cannot be detected: what seems free might end at one.
+    It is in ``target_frame`` if its z axis points up, along its axes and with the same places of
+    the cells in each image; else in ``base_frame``, or in the level frame under the camera, which
+    its origin states.
     """
-    found = frame.detection
+    found, resolution_m = frame.detection, frame.config.grid.resolution
     if not found.ground_pixels.is_known or found.drop_note:
         return None
     header, to_grid, origin = frame.header, frame.to_base, RigidTransform.identity()
@@ -32,18 +37,20 @@ def grid_to_msg(frame: DetectedFrame) -> OccupancyGrid | None:
         origin = to_grid.inverse()
     else:
         header = Header(stamp=header.stamp, frame_id=frame.settings.base_frame)
+    pose = frame.pose
+    if pose is not None and -pose.rotation[2] @ found.gravity_camera > LEAST_UP:
+        # Costmaps assume that a grid does not move with the robot.
+        centre_m = pose.points(to_grid.inverse().translation_m)
+        centre_m[:2] = np.round(centre_m[:2] / resolution_m) * resolution_m
+        header, origin = frame.target_header, RigidTransform(np.eye(3), centre_m)
+        to_grid = origin.inverse().after(pose)
     cells = occupancy_grid(found, frame.intrinsics, to_grid, frame.config.ground,
                            frame.config.grid)
     rows, columns = cells.shape
-    half_m = frame.config.grid.resolution * rows / 2
+    corner_m = -resolution_m * rows / 2
+    (place,) = pose_msgs(origin.points(np.array([[corner_m, corner_m, 0.0]])),
+                         quaternions(origin.rotation[None]))
     return OccupancyGrid(
         header=header, data=array('b', cells.tobytes()),
-        info=MapMetaData(map_load_time=header.stamp, resolution=frame.config.grid.resolution,
-                         width=columns, height=rows, origin=_pose(origin, half_m)))
-
-
-def _pose(origin: RigidTransform, half_m: float) -> Pose:
-    """Return the pose of the corner of a grid around a frame."""
-    (pose,) = pose_msgs(origin.points(np.array([[-half_m, -half_m, 0.0]])),
-                        quaternions(origin.rotation[None]))
-    return pose
+        info=MapMetaData(map_load_time=header.stamp, resolution=resolution_m, width=columns,
+                         height=rows, origin=place))

@@ -125,7 +125,7 @@ def test_ground_and_drops(to_target):
     assert make('drops', found=scene.detection(ground_pixels=silent)) is None
 
 
-def test_the_grid_is_level_below_the_camera_or_in_the_base_frame():
+def test_the_grid_is_level_below_the_camera_or_in_a_frame_of_the_robot():
     """A floor .6 m below a level camera, before a wall and a pole."""
     gravity = np.array([0.0, 1.0, 0.0])
     pixels = scene.detection().ground_pixels
@@ -152,6 +152,23 @@ def test_the_grid_is_level_below_the_camera_or_in_the_base_frame():
     assert (of_base.info.origin.position.x, of_base.info.origin.orientation.w) == (-5.0, 1.0)
     shifted = np.reshape(of_base.data, cells.shape)[:, 6:]  # the base is .3 m behind the camera
     np.testing.assert_array_equal(shifted, cells[:, :-6])
+    # In odom the base is at (2.03, -7.11) and looks along y; the grid is along the axes of odom.
+    odom = RigidTransform(np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]),
+                          np.array([2.03, -7.11, 0.0]))
+    in_odom = replace(scene.frame(found), to_base=base, pose=odom.after(base), settings=replace(
+        scene.frame(found).settings, base_frame='base_footprint', target_frame='odom'))
+    of_odom = grid_to_msg(in_odom)
+    assert of_odom.header.frame_id == 'odom' and of_odom.info.origin.orientation.w == 1.0
+    place = of_odom.info.origin.position
+    assert (place.x, place.y, place.z) == pytest.approx((2.05 - 5.0, -7.1 - 5.0, 0.0))
+    cells = np.reshape(of_odom.data, cells.shape)
+    for kind, value in ((scene.FLOOR, 0), (scene.WALL, 100)):
+        of_kind = odom.after(base).points(all_m[(labels == kind) & (all_m[..., 2] < 4.0)])
+        column, row = ((of_kind[:, :2] - (place.x, place.y)) / 0.05).astype(int).T
+        assert (cells[row, column] == value).mean() > 0.8
+    # An optical frame as target, its z ahead, has no grid from above: it stays in the base frame.
+    lying = replace(in_odom, pose=RigidTransform(np.eye(3), np.array([0.1, 0.0, 0.0])))
+    assert grid_to_msg(lying).header.frame_id == 'base_footprint'
     silent = replace(found.ground_pixels, drop_note='why')
     assert make('grid', found=replace(found, ground_pixels=silent)) is None
     assert make('grid', found=replace(found, ground_pixels=GroundPixels(GroundLack.UNIT))) is None
