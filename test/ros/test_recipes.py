@@ -38,6 +38,8 @@ def test_the_costmap_reads_an_output_that_there_is():
         assert layers[name]['plugin'].startswith('nav2_costmap_2d::')
     layer = layers['voxel_layer']
     assert layer['z_voxels'] <= 16, 'the most that a voxel layer has'
+    assert layer['mark_threshold'] == 0, 'with n, obstacles in n voxels are left out'
+    assert layer['min_obstacle_height'] < 0, 'its default of 0 hides obstacles down a ramp'
     for name in layer['observation_sources'].split():
         source = layer[name]
         output = OUTPUTS[source['topic'].removeprefix('/plane_detector/')]
