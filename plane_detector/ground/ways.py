@@ -109,11 +109,12 @@ def _sector(axis: int, sign: int, sides: tuple[int, int], nadir: tuple[float, fl
     shift = sign * nadir[across] * (at[reference] - at) / away[reference]
     start = np.floor(((low - 0.5 - shift) / spread).min())
     begin = np.floor((low - 0.5 - shift) / spread) - start
-    end = np.ceil((high - 0.5 - shift) / spread) - start
     unit = 1 << FRACTION_BITS
     step = np.rint(spread * unit).astype(np.int64)
     origin = np.rint((shift + spread * start + 0.5) * unit).astype(np.int64)
+    # Of the rounded steps: close to the nadir they are a few units, and thousands pass a line.
+    end = -((origin - high * unit) // step)
     ways, zero, one = int(end.max()), np.zeros(len(at), np.int64), np.ones(len(at), np.int64)
     place = (zero, at, one, zero) if axis else (at, zero, zero, one)
     return np.column_stack([*place, origin - first * step, step, begin.astype(np.int64) + first,
-                            end.astype(np.int64) + first, low, high]), ways
+                            end + first, low, high]), ways

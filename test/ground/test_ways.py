@@ -38,6 +38,16 @@ def test_every_pixel_is_on_a_way(pose):
     assert seen.min() >= 1 and found[:, 0].min() >= 0
 
 
+@pytest.mark.parametrize('camera', [CAMERA, CameraIntrinsics.from_field_of_view(640, 360, 90.0)])
+@pytest.mark.parametrize('pose', POSES)
+def test_the_ways_of_a_line_end_behind_its_last_pixel(camera, pose):
+    """Else the last pixel would belong to a way that does not pass the line, or to none."""
+    ways = ways_over_ground(camera, down_of(*pose))
+    start, step, first, end, high = ways.lines[:, [4, 5, 6, 7, 9]].T
+    assert ((start + end * step) >> 16 >= high).all()
+    assert first.min() >= 0 and (first < end).all() and end.max() == ways.count
+
+
 @pytest.mark.parametrize('pose', POSES)
 def test_ways_lead_away_from_the_nadir(pose):
     """On the floor, each step is away from the foot of the camera, hardly to a side."""
