@@ -27,7 +27,6 @@ from plane_detector.directions.finder import (
     ImageDirections,
     Surroundings,
 )
-from plane_detector.directions.gravity_choice import NO_GRAVITY
 from plane_detector.geometry.disparity import UNITLESS, to_disparity
 from plane_detector.geometry.gravity import measured_direction, sign_question
 from plane_detector.geometry.projection import as_depth, as_image
@@ -37,7 +36,7 @@ from plane_detector.planes.normal_map import reoriented_by_normals
 from plane_detector.planes.patches import fill_patches
 from plane_detector.planes.ray_planes import ray_planes
 from plane_detector.planes.reorientation import measure_reoriented
-from plane_detector.scale.estimate import ScaleEstimate, apply_scale
+from plane_detector.scale.estimate import apply_scale
 from plane_detector.scale.methods import ScaleEvidence, estimate_scale
 from plane_detector.scale.temporal_filter import ScaleState, update_scale
 from plane_detector.segmentation.baselines import segment_by_paper
@@ -58,10 +57,12 @@ from plane_detector.stage_timer import StageTimer
 from plane_detector.tracking.tracker import PlaneTracker
 from plane_detector.types import (
     JUMP_S,
+    NO_GRAVITY,
     NO_SHAPE_LABELS,
     CameraIntrinsics,
     Detection,
     PlaneSegmentation,
+    ScaleEstimate,
 )
 
 DEFAULTS = Config()
@@ -135,8 +136,8 @@ class PlaneDetector:
     >>> camera = CameraIntrinsics.from_field_of_view(160, 120, 60.0)
     >>> detector = PlaneDetector(depth_model=lambda rgb: np.full(rgb.shape[:2], 2.0, np.float32))
     >>> detection = detector.detect(np.zeros((120, 160, 3), np.uint8), camera)
-    >>> [round(plane.offset_m, 3) for plane in detection.planes], detection.scale_method
-    ([2.0], 'metric')
+    >>> [round(plane.offset_m, 3) for plane in detection.planes], str(detection.scale)
+    ([2.0], 'metric: metres of the network')
 
     """
 
@@ -319,20 +320,13 @@ class PlaneDetector:
                 planes.labels, regions.patches, planes.planes, depth_m, seen.intrinsics,
                 shape_labels)
         input_note = _joined([seen.input_note, _sign_note(planes, around, scale)])
-        return Detection(planes.planes, labels, planes.disparity_noise,
-                         systematic_noise=planes.systematic_noise,
-                         plane_note=planes.plane_note, depth_m=depth_m,
-                         scale_method=scale.unit_method, is_measured=seen.is_measured,
-                         scale_note=_joined([str(scale), input_note]), input_note=input_note,
-                         constant_note=seen.constant_note,
-                         scale_event=state.scale.event, shapes=shapes,
+        return Detection(planes.planes, labels, planes.disparity_noise, depth_m, scale,
+                         systematic_noise=planes.systematic_noise, plane_note=planes.plane_note,
+                         gravity=around.gravity, ground_result=ground.result,
+                         is_measured=seen.is_measured, constant_note=seen.constant_note,
+                         input_note=input_note, scale_event=state.scale.event, shapes=shapes,
                          shape_labels=shape_labels, shape_note=shape_note,
-                         gravity_camera=around.gravity.gravity_camera,
-                         gravity_source=around.gravity.source, gravity_note=around.gravity.note,
-                         gravity_probability=around.gravity.probability,
-                         ground_pixels=ground.pixels,
-                         camera_height_m=ground.camera_height_m, tilt_deg=ground.tilt_deg,
-                         mounting=ground.mounting, stage_seconds=timer.seconds)
+                         stage_seconds=timer.seconds)
 
     def reset(self) -> None:
         """

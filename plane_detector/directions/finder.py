@@ -11,7 +11,7 @@ from functools import partial
 import numpy as np
 
 from plane_detector.config import Config
-from plane_detector.directions.gravity_choice import LIKELY_SIGMAS, Gravity, choose_gravity
+from plane_detector.directions.gravity_choice import LIKELY_SIGMAS, choose_gravity
 from plane_detector.directions.line_segments import (
     LineSegments,
     detect_line_segments,
@@ -33,7 +33,7 @@ from plane_detector.directions.vanishing import (
     SceneDirections,
     find_directions,
 )
-from plane_detector.types import CameraIntrinsics, PlaneSegmentation
+from plane_detector.types import CameraIntrinsics, Gravity, PlaneSegmentation
 
 # While a camera does not turn, as its planes show, the lines are held for so many times longer,
 # and each time that they are found again for twice as long, up to 2 s.

@@ -4,38 +4,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from plane_detector.directions.vanishing import SceneDirections
 from plane_detector.geometry.gravity import unit_direction
+from plane_detector.types import COARSE_DEG, Gravity
 
-# A given direction with a larger tolerance only distinguishes the floor from the walls.
-COARSE_DEG = 5.0
 # Largest likely error of gravity from lines, in standard deviations.
 LIKELY_SIGMAS = 2.0
-
-
-@dataclass(frozen=True)
-class Gravity:
-    """A direction of gravity and its source."""
-
-    # (3,) float64 or None: unit direction in the optical frame; None if unknown
-    gravity_camera: np.ndarray | None
-    tolerance_deg: float  # its largest error
-    source: str  # name of the sensor, ``parameter``, ``image`` or ``none``
-    note: str = ''  # why the image does not give it, if it was tried
-    # that the one of the image is right within 5 degrees; NaN for other sources
-    probability: float = float('nan')
-
-    @property
-    def is_sure(self) -> bool:
-        """Whether it is known accurately enough for angles."""
-        return self.gravity_camera is not None and self.tolerance_deg <= COARSE_DEG
-
-
-NO_GRAVITY = Gravity(None, 0.0, 'none')
 
 
 def choose_gravity(measured: np.ndarray | None, given: tuple[float, ...], tolerance_deg: float,

@@ -28,7 +28,7 @@ TESTS = {
                      'test/segmentation'),
     'planes': ('test/test_cameras.py', 'test/planes'),
     'geometry': ('test/test_cameras.py', 'test/test_handed_over.py', 'test/geometry',
-                 'test/test_plane_fields.py'),
+                 'test/test_plane_fields.py', 'test/directions/test_gravity_choice.py'),
     'scale': ('test/test_cameras.py', 'test/scale'),
     'directions': ('test/directions', 'test/test_pipeline_directions.py',
                    'test/test_stream_state.py'),
@@ -169,11 +169,12 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
         ('(1 - USUAL_RATIO) - near', '(1 - USUAL_RATIO) - far', 'the usual shift at the far end'),
         ('Posterior(downs[kept], masses', 'Posterior(-downs[kept], masses', 'gravity points up'),
         ('(best % 3 + 1) % 3', 'best % 3', 'the vertical is its own horizontal axis')),
+    'types.py': (
+        ('self.tolerance_deg <= COARSE', 'self.tolerance_deg > COARSE',
+         'coarse gravity is sure'),),
     'directions/gravity_choice.py': (
         ('LIKELY_SIGMAS * float(sigma', 'LIKELY_SIGMAS / float(sigma',
          'the surest vertical is off most'),
-        ('self.tolerance_deg <= COARSE', 'self.tolerance_deg > COARSE',
-         'coarse gravity is sure'),
         ("' if measured is None", "' if measured is not None", 'wrong source of gravity'),),
     'directions/finder.py': (
         ('if not is_trusted or _has_turned(self._normals, normals):',

@@ -23,11 +23,11 @@ from plane_detector.config import ScaleConfig
 from plane_detector.geometry.disparity import UNITLESS, sampled_quantiles
 from plane_detector.geometry.gravity import unit_direction
 from plane_detector.scale.disparity_planes import DisparityPlanes
-from plane_detector.scale.estimate import RELATIVE, ScaleEstimate
 from plane_detector.scale.floor import fit_floor
 from plane_detector.scale.right_angles import PerpendicularAxes, find_perpendicular_axes
 from plane_detector.scale.sensor_depth import fit_measured_depth
 from plane_detector.scale.shift_posterior import ShiftEstimate, estimate_shift, frames_about
+from plane_detector.types import RELATIVE, ScaleEstimate
 
 # The tolerance of gravity is so many standard deviations.
 COARSE_GRAVITY_DEG, TOLERANCE_SIGMAS = 5.0, 2.0
