@@ -161,7 +161,8 @@ def test_the_vertical_turns_with_the_camera_however_long_it_stood():
     detector, worst_deg = PlaneDetector(MEASURED), 0.0
     for k in range(36):
         now = rolled(2.0 * max(k - 29, 0))
-        down = detector.detect(now.rgb, CAMERA, now.depth_m, stamp_s=0.1 * k).gravity.gravity_camera
+        found = detector.detect(now.rgb, CAMERA, now.depth_m, stamp_s=0.1 * k)
+        down = found.gravity.gravity_camera
         if down is not None:
             worst_deg = max(worst_deg, angle_deg(down, now.gravity_camera))
     assert down is not None

@@ -68,11 +68,12 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
         ('is_trusted=(\n                seen.is_measured and '
          'around.gravity.gravity_camera is not None)',
          'is_trusted=True',
-         'planes of a network, or in the dark, show that nothing turns'),
+         'planes of a network, or in the dark, show that nothing turns'),),
+    'network_steps.py': (
         ('regions.restricted_to(np.isfinite(depth_m)) if is_rescaled else regions',
          'regions', 'planes have pixels beyond the largest depth'),
-        ('np.radians(np.nan_to_num(scale.angle_sigma_deg)))',
-         '0.0)', 'the error of the shift does not reach the orientation'),),
+        ('np.radians(np.nan_to_num(scale.angle_sigma_deg))))',
+         '0.0))', 'the error of the shift does not reach the orientation'),),
     'geometry/projection.py': (
         ('/ intrinsics.fx', '/ intrinsics.fy', 'fy for fx'),
         ('.width) - intrinsics.cx', '.width) + 1 - intrinsics.cx', 'a pixel off')),
@@ -172,11 +173,10 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
     'types.py': (
         ('self.tolerance_deg <= COARSE', 'self.tolerance_deg > COARSE',
          'coarse gravity is sure'),),
-    'directions/gravity_choice.py': (
+    'directions/finder.py': (
         ('LIKELY_SIGMAS * float(sigma', 'LIKELY_SIGMAS / float(sigma',
          'the surest vertical is off most'),
-        ("' if measured is None", "' if measured is not None", 'wrong source of gravity'),),
-    'directions/finder.py': (
+        ("' if measured is None", "' if measured is not None", 'wrong source of gravity'),
         ('if not is_trusted or _has_turned(self._normals, normals):',
          'if not is_trusted:', 'lines are held while the camera turns'),
         ('(abs(same @ same.T) > math', '(abs(same @ same.T) < math',
@@ -414,7 +414,7 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
 
 def part_of(file: str) -> str:
     """Return the part of TESTS that a file belongs to: its folder; in ros, inputs or outputs."""
-    if file == 'pipeline.py':
+    if file in ('pipeline.py', 'network_steps.py'):
         return 'pipeline'
     folder = file.split('/')[0] if '/' in file else 'geometry'
     if folder != 'ros':
