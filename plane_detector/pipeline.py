@@ -11,6 +11,7 @@ a jump back in time, starts the state of the stage that it meets anew.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Generic, TypeVar
 
@@ -19,49 +20,40 @@ import numpy as np
 from plane_detector._runtime.compilation import load_once
 from plane_detector._runtime.process import one_thread
 from plane_detector.config import Config
-from plane_detector.depth.observation import DepthSource, ModelOrFunction, Observation, make_source
-from plane_detector.depth.ray_distance import kind_note
-from plane_detector.directions.finder import (
-    CameraImage,
-    DirectionFinder,
-    ImageDirections,
-    Surroundings,
+from plane_detector.depth.observation import (
+    DepthSource,
+    ModelDepth,
+    ModelOrFunction,
+    Observation,
+    make_source,
 )
-from plane_detector.directions.gravity_choice import NO_GRAVITY
-from plane_detector.geometry.disparity import UNITLESS, to_disparity
+from plane_detector.depth.ray_distance import kind_note
+from plane_detector.directions.finder import CameraImage, DirectionFinder, Surroundings
+from plane_detector.geometry.disparity import to_disparity
 from plane_detector.geometry.gravity import measured_direction, sign_question
 from plane_detector.geometry.projection import as_depth, as_image
 from plane_detector.ground.ground import NO_REACH, SensorReach, find_ground
-from plane_detector.planes.measurement import measure_planes, missing_planes_note
-from plane_detector.planes.normal_map import reoriented_by_normals
-from plane_detector.planes.patches import fill_patches
-from plane_detector.planes.ray_planes import ray_planes
-from plane_detector.planes.reorientation import measure_reoriented
-from plane_detector.scale.estimate import ScaleEstimate, apply_scale
-from plane_detector.scale.methods import ScaleEvidence, estimate_scale
-from plane_detector.scale.temporal_filter import ScaleState, update_scale
+from plane_detector.network_steps import NetworkSteps
+from plane_detector.planes.measurement import measured_segmentation
 from plane_detector.segmentation.baselines import segment_by_paper
 from plane_detector.segmentation.cells.constant_depth import without_constants
 from plane_detector.segmentation.cells.grid import lens_of
 from plane_detector.segmentation.cells.noise import Noise
-from plane_detector.segmentation.cells.normal_slopes import NormalMap
 from plane_detector.segmentation.cells.pixel_regions import PixelRegions
 from plane_detector.segmentation.memory import NO_MEMORY, Memory
-from plane_detector.segmentation.pixels.edge_snapping import GuideImage
-from plane_detector.segmentation.segment import (
-    metric_noise_floor,
-    segment_next,
-    unitless_noise_floor,
-)
+from plane_detector.segmentation.segment import metric_noise_floor, segment_next
 from plane_detector.shapes.detector import ShapeDetector
 from plane_detector.stage_timer import StageTimer
 from plane_detector.tracking.tracker import PlaneTracker
 from plane_detector.types import (
     JUMP_S,
+    METRIC,
+    NO_GRAVITY,
     NO_SHAPE_LABELS,
     CameraIntrinsics,
     Detection,
     PlaneSegmentation,
+    ScaleEstimate,
 )
 
 DEFAULTS = Config()
@@ -75,7 +67,7 @@ State = TypeVar('State')
 class _OfEpoch(Generic[State]):
     """What a stage keeps from image to image, made anew for the first image of an epoch."""
 
-    def __init__(self, make: type[State]) -> None:
+    def __init__(self, make: Callable[[], State]) -> None:
         self._make, self._epoch, self._state = make, 0, make()
 
     def at(self, epoch: int) -> State:
@@ -102,12 +94,41 @@ class _KindNote:
         return self.text
 
 
+class _MeasuredSteps:
+    """The steps from a sensor's depth to planes, as `NetworkSteps`: it is in metres."""
+
+    loops: tuple[str, ...] = ()
+    uses_lines = False
+
+    def __init__(self) -> None:
+        self._memory = NO_MEMORY
+        self._event = f'scale: {METRIC}'
+
+    def segment(self, seen: Observation, config: Config) -> PixelRegions:
+        before = self._memory if config.segmentation.memory else NO_MEMORY
+        regions, self._memory = _find_regions(seen.disparity, seen.intrinsics, config,
+                                              metric_noise_floor(config), memory=before)
+        return regions
+
+    def scale(self, *_: object) -> tuple[ScaleEstimate, str]:
+        event, self._event = self._event, ''
+        return METRIC, event
+
+    def measure(self, seen: Observation, regions: PixelRegions, scale: ScaleEstimate,
+                around: Surroundings, config: Config
+                ) -> tuple[np.ndarray, PixelRegions, PlaneSegmentation]:
+        return seen.prediction.values, regions, measured_segmentation(
+            regions, seen.intrinsics, config.segmentation.min_plane_share)
+
+    def fill(self, planes: PlaneSegmentation, *_: object) -> np.ndarray:
+        return planes.labels
+
+
 @dataclass
 class _PlaneState:
     """What the third stage keeps."""
 
-    memory: Memory = NO_MEMORY
-    scale: ScaleState | None = None
+    steps: _MeasuredSteps | NetworkSteps
     tracker: PlaneTracker = field(default_factory=PlaneTracker)
     shapes: ShapeDetector = field(default_factory=ShapeDetector)
     reach: SensorReach = NO_REACH
@@ -135,8 +156,8 @@ class PlaneDetector:
     >>> camera = CameraIntrinsics.from_field_of_view(160, 120, 60.0)
     >>> detector = PlaneDetector(depth_model=lambda rgb: np.full(rgb.shape[:2], 2.0, np.float32))
     >>> detection = detector.detect(np.zeros((120, 160, 3), np.uint8), camera)
-    >>> [round(plane.offset_m, 3) for plane in detection.planes], detection.scale_method
-    ([2.0], 'metric')
+    >>> [round(plane.offset_m, 3) for plane in detection.planes], str(detection.scale)
+    ([2.0], 'metric: metres of the network')
 
     """
 
@@ -148,7 +169,8 @@ class PlaneDetector:
         self._stamp_s = float('nan')
         self._kinds = _OfEpoch(_KindNote)
         self._directions = _OfEpoch(DirectionFinder)
-        self._planes = _OfEpoch(_PlaneState)
+        self._steps = NetworkSteps if isinstance(self.source, ModelDepth) else _MeasuredSteps
+        self._planes = _OfEpoch(lambda: _PlaneState(self._steps()))
 
     def detect(self, rgb: np.ndarray, intrinsics: CameraIntrinsics,
                depth_m: np.ndarray | None = None, gravity_camera: np.ndarray | None = None,
@@ -251,7 +273,7 @@ class PlaneDetector:
         with seen.timer('directions'), one_thread():
             return self._directions.at(seen.epoch).find(
                 image, gravity_camera, seen.config, gravity_source,
-                for_planes=_may_reorient(seen))
+                for_planes=self._steps.uses_lines and seen.config.directions.orient_planes)
 
     def find_planes(self, seen: Observation, around: Surroundings,
                     camera_height_m: float | None = None) -> Detection:
@@ -263,32 +285,17 @@ class PlaneDetector:
                      camera_height_m: float | None) -> Detection:
         config, timer = _with_height(seen.config, camera_height_m), seen.timer
         state = self._planes.at(seen.epoch)
+        steps = state.steps
         with timer('segmentation'):
             # 1. The pixels of each plane, in the unit of the prediction.
-            cues = {}
-            if seen.is_measured:
-                load_once(*LOOPS)
-            else:
-                load_once(*LOOPS, 'network')
-                cues = _network_cues(seen, config)
-            remembers = config.segmentation.memory and seen.is_measured
-            regions, memory = _find_regions(
-                seen.disparity, seen.intrinsics, config, _noise_floor(seen, config),
-                memory=state.memory if remembers else NO_MEMORY, **cues)
-            state.memory = memory if remembers else NO_MEMORY
+            load_once(*LOOPS, *steps.loops)
+            regions = steps.segment(seen, config)
         with timer('scale'):
             # 2. The scale and shift to metres, smoothed over time.
-            state.scale = _next_scale(state.scale, seen, regions, config, around)
-            scale = state.scale.estimate
+            scale, scale_event = steps.scale(seen, regions, around, config)
         with timer('measurement'):
             # 3. Depth and planes in metres, or in an arbitrary unit if the scale is not known.
-            depth_m, is_rescaled = _scaled_depth(seen, scale, config.depth.max_depth)
-            regions = _rescaled(regions, scale, seen)
-            valid = regions.restricted_to(np.isfinite(depth_m)) if is_rescaled else regions
-            planes = _measured_planes(
-                valid, seen.intrinsics, config,
-                around.lines if _may_reorient(seen) and scale.has_true_angles else None,
-                np.radians(np.nan_to_num(scale.angle_sigma_deg)))
+            depth_m, regions, planes = steps.measure(seen, regions, scale, around, config)
         with timer('shapes'):
             # 4. Spheres, cylinders and cones where there is no plane, if requested.
             shapes, shape_labels = (), NO_SHAPE_LABELS
@@ -301,7 +308,7 @@ class PlaneDetector:
             # 5. Own floor, ramps, obstacles and drops, if angles are true and gravity is known.
             gravity = around.gravity if scale.has_true_angles else NO_GRAVITY
             surfaces = (planes if gravity.gravity_camera is None else
-                        _with_facets(planes, valid, seen.intrinsics, config))
+                        _with_facets(planes, regions, seen.intrinsics, config))
             ground = find_ground(surfaces, depth_m, seen.intrinsics, gravity, config, state.reach,
                                  plane_count=len(planes.planes), is_metric=scale.is_metric,
                                  doubt=seen.doubt)
@@ -315,24 +322,15 @@ class PlaneDetector:
                 seen.is_measured and around.gravity.gravity_camera is not None))
         with timer('patches'):
             # 7. Pixels off all planes, if the colours show better where a surface ends.
-            labels = planes.labels if not regions.patches.size else fill_patches(
-                planes.labels, regions.patches, planes.planes, depth_m, seen.intrinsics,
-                shape_labels)
+            labels = steps.fill(planes, regions, depth_m, seen, shape_labels)
         input_note = _joined([seen.input_note, _sign_note(planes, around, scale)])
-        return Detection(planes.planes, labels, planes.disparity_noise,
-                         systematic_noise=planes.systematic_noise,
-                         plane_note=planes.plane_note, depth_m=depth_m,
-                         scale_method=scale.unit_method, is_measured=seen.is_measured,
-                         scale_note=_joined([str(scale), input_note]), input_note=input_note,
-                         constant_note=seen.constant_note,
-                         scale_event=state.scale.event, shapes=shapes,
+        return Detection(planes.planes, labels, planes.disparity_noise, depth_m, scale,
+                         systematic_noise=planes.systematic_noise, plane_note=planes.plane_note,
+                         gravity=around.gravity, ground_result=ground.result,
+                         is_measured=seen.is_measured, constant_note=seen.constant_note,
+                         input_note=input_note, scale_event=scale_event, shapes=shapes,
                          shape_labels=shape_labels, shape_note=shape_note,
-                         gravity_camera=around.gravity.gravity_camera,
-                         gravity_source=around.gravity.source, gravity_note=around.gravity.note,
-                         gravity_probability=around.gravity.probability,
-                         ground_pixels=ground.pixels,
-                         camera_height_m=ground.camera_height_m, tilt_deg=ground.tilt_deg,
-                         mounting=ground.mounting, stage_seconds=timer.seconds)
+                         stage_seconds=timer.seconds)
 
     def reset(self) -> None:
         """
@@ -401,7 +399,7 @@ def segment_planes(depth_m: np.ndarray, intrinsics: CameraIntrinsics, config: Co
             depth_m = without_constants(depth_m, metric_noise_floor(config))
         regions, _ = _find_regions(to_disparity(depth_m), intrinsics, config,
                                    metric_noise_floor(config, disparity_noise), rng)
-        return _measured_planes(regions, intrinsics, config)
+        return measured_segmentation(regions, intrinsics, config.segmentation.min_plane_share)
 
 
 def _checked_cover(covered: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
@@ -438,85 +436,13 @@ def _sign_note(found: PlaneSegmentation, around: Surroundings, scale: ScaleEstim
                          found.labels.size)
 
 
-def _may_reorient(seen: Observation) -> bool:
-    """Return whether the lines of the image may rotate planes."""
-    return seen.config.directions.orient_planes and not seen.is_measured
-
-
-def _noise_floor(seen: Observation, config: Config) -> Noise:
-    """Return the lower bound of the noise, in the unit of the disparity."""
-    if seen.output not in UNITLESS and (
-            config.segmentation.disparity_noise or not seen.noise_share):
-        return metric_noise_floor(config, is_measured=seen.is_measured)
-    if config.segmentation.method == 'paper' and seen.output in UNITLESS:
-        raise ValueError('segmentation.method paper needs depth in metres, but the network gives '
-                         f'{seen.output}')
-    return unitless_noise_floor(seen.disparity, seen.disparity_noise)
-
-
-def _network_cues(seen: Observation, config: Config) -> dict[str, GuideImage | NormalMap | None]:
-    """Return the image that borders snap to, if the network blurs edges, and its normals."""
-    snaps = config.segmentation.snap_to_picture and seen.edge_blur_px > 0
-    guide = GuideImage(seen.rgb, seen.edge_blur_px) if snaps else None
-    return {'guide': guide, 'normals': NormalMap.of(seen.prediction, seen.intrinsics)}
-
-
 def _find_regions(disparity: np.ndarray, intrinsics: CameraIntrinsics, config: Config,
                   floor: Noise, rng: np.random.Generator | None = None,
-                  memory: Memory = NO_MEMORY, **cues: GuideImage | NormalMap | None
-                  ) -> tuple[PixelRegions, Memory]:
+                  memory: Memory = NO_MEMORY) -> tuple[PixelRegions, Memory]:
     """Segment by ``segmentation.method``; return the memory for the next image too."""
     if config.segmentation.method == 'paper':
         return segment_by_paper(disparity, intrinsics, floor, config, rng), NO_MEMORY
-    return segment_next(memory, disparity, floor, config, rng, lens=lens_of(intrinsics), **cues)
-
-
-def _next_scale(before: ScaleState | None, seen: Observation, regions: PixelRegions,
-                config: Config, around: Surroundings) -> ScaleState:
-    """Return the scale of this image, smoothed with those before."""
-    evidence = ScaleEvidence(
-        seen.disparity, lambda: ray_planes(regions, seen.intrinsics), seen.output,
-        seen.is_measured, around.gravity.gravity_camera, around.gravity.tolerance_deg,
-        around.level_axes, around.open_axes, seen.sensor_depth_m)
-    return update_scale(before, estimate_scale(evidence, config.scale), config.scale)
-
-
-def _scaled_depth(seen: Observation, scale: ScaleEstimate, max_depth_m: float
-                  ) -> tuple[np.ndarray, bool]:
-    """
-    Return the depth (H, W) in the unit of the scale, and whether it is another than before.
-
-    Unscaled metres are the same array, valid wherever the disparity was.
-    """
-    if seen.output == 'metric_depth' and (scale.scale, scale.shift) == (1.0, 0.0):
-        return seen.prediction.values, False
-    return apply_scale(seen.disparity, scale, max_depth_m), True
-
-
-def _rescaled(regions: PixelRegions, scale: ScaleEstimate, seen: Observation) -> PixelRegions:
-    """Return the regions in the unit of the scale, rotated by the network's normals if any."""
-    regions = regions.rescaled(scale.scale, scale.shift)
-    if seen.prediction.normals_camera is None or not scale.has_true_angles:
-        return regions
-    return reoriented_by_normals(regions, seen.prediction, seen.intrinsics)
-
-
-def _measured_planes(regions: PixelRegions, intrinsics: CameraIntrinsics, config: Config,
-                     lines: ImageDirections | None = None,
-                     shift_rad: float = 0.0) -> PlaneSegmentation:
-    """
-    Measure the planes that are large enough, rotated by the lines of the image if given.
-
-    Their normals have an error by the shift of the disparity.
-    """
-    min_pixels = config.segmentation.min_plane_share * regions.labels.size
-    if lines is None or not len(lines.axes):
-        found = measure_planes(regions, intrinsics, min_pixels)
-    else:
-        found = measure_reoriented(regions, intrinsics, min_pixels, lines, shift_rad)
-    return PlaneSegmentation(*found, regions.noise.mean_sigma,
-                             systematic_noise=regions.noise.systematic_sigma,
-                             plane_note=missing_planes_note(regions, found[1], min_pixels))
+    return segment_next(memory, disparity, floor, config, rng, lens=lens_of(intrinsics))
 
 
 def _with_facets(planes: PlaneSegmentation, regions: PixelRegions, intrinsics: CameraIntrinsics,
@@ -524,6 +450,7 @@ def _with_facets(planes: PlaneSegmentation, regions: PixelRegions, intrinsics: C
     """Return the planes followed by the pieces of curved surfaces: a robot stands on these too."""
     if not regions.facets.size:
         return planes
-    facets = _measured_planes(regions.of_facets(), intrinsics, config)
+    facets = measured_segmentation(regions.of_facets(), intrinsics,
+                                   config.segmentation.min_plane_share)
     return replace(planes, planes=planes.planes.followed_by(facets.planes), labels=np.where(
         facets.labels >= 0, facets.labels + np.int32(len(planes.planes)), planes.labels))

@@ -4,9 +4,10 @@
 
 from __future__ import annotations
 
+import math
 import operator
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum, IntEnum
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Protocol, overload, runtime_checkable
@@ -328,6 +329,78 @@ class PlaneSegmentation:
     plane_note: str = field(default='', kw_only=True)
 
 
+RELATIVE = 'relative'
+"""Method of a scale that nothing determines."""
+
+
+@dataclass(frozen=True)
+class ScaleEstimate:
+    """1/z = scale * disparity + shift, and the method that estimated it."""
+
+    # 1/metres, or 1/unit if the unit is unknown; the unit is then the median depth of the image
+    # for which it was chosen.
+    scale: float
+    shift: float
+    method: str  # metric, depth_topic, camera_height, manhattan, fixed or relative
+    is_metric: bool  # not for relative, nor for manhattan without a height
+    has_true_angles: bool  # between planes; for relative only if the network's depth has no shift
+    # Standard deviation of depth due to scale and shift, as a share of depth, at the disparity
+    # quantile of the farthest 10 % of the image; NaN if unknown.
+    uncertainty: float
+    note: str  # result of the method, or why the others refused; for the log and the diagnostics
+    span: tuple[float, float, float]  # 10 %, 50 %, 90 % of disparity; NaN for metric
+    # Standard deviation of normals due to the shift; NaN if unknown.
+    angle_sigma_deg: float = math.nan
+
+    @property
+    def unit_method(self) -> str:
+        """Method that determined the unit; ``relative`` if none did."""
+        return self.method if self.is_metric else RELATIVE
+
+    def with_covariance(self, covariance: np.ndarray) -> ScaleEstimate:
+        """Return the estimate with its uncertainty from the covariance of scale and shift."""
+        far = np.array([self.span[0], 1.0])
+        inverse_depth = far @ [self.scale, self.shift]
+        sigma = np.sqrt(max(far @ covariance @ far, 0.0))
+        return replace(self, uncertainty=float(sigma / inverse_depth)
+                       if inverse_depth > 0 else math.nan)
+
+    def __str__(self) -> str:
+        sigma = f', +-{self.uncertainty:.1%}' if np.isfinite(self.uncertainty) else ''
+        unit = '' if self.is_metric else ', unit unknown'
+        angles = (f', angles +-{self.angle_sigma_deg:.1f} deg'
+                  if np.isfinite(self.angle_sigma_deg) else '')
+        return f'{self.method}{unit}{sigma}{angles}: {self.note}'
+
+
+METRIC = ScaleEstimate(1.0, 0.0, 'metric', True, True, math.nan, 'measured depth',
+                       (math.nan,) * 3)
+"""Of depth in metres, as measured."""
+
+# A given direction with a larger tolerance only distinguishes the floor from the walls.
+COARSE_DEG = 5.0
+
+
+@dataclass(frozen=True)
+class Gravity:
+    """A direction of gravity and its source."""
+
+    # (3,) float64 or None: unit direction in the optical frame; None if unknown
+    gravity_camera: np.ndarray | None
+    tolerance_deg: float  # its largest error
+    source: str  # name of the sensor, ``parameter``, ``image`` or ``none``
+    note: str = ''  # why the image does not give it, if it was tried
+    # that the one of the image is right within 5 degrees; NaN for other sources
+    probability: float = math.nan
+
+    @property
+    def is_sure(self) -> bool:
+        """Whether it is known accurately enough for angles."""
+        return self.gravity_camera is not None and self.tolerance_deg <= COARSE_DEG
+
+
+NO_GRAVITY = Gravity(None, 0.0, 'none')
+
 OBSTACLE_DISTANCES_M = (1.0, 2.0, 3.0)
 """How far ahead the smallest obstacle that can be seen is stated."""
 
@@ -339,38 +412,6 @@ class GroundLack(Enum):
     GRAVITY = 1  # its direction, or a good one
     UNIT = 2
     DEPTH = 3  # hardly any pixel has it
-
-
-@dataclass(frozen=True)
-class GroundPixels:
-    """Where a robot may roll, what it must not hit, and where the ground ends."""
-
-    lack: GroundLack = GroundLack.GRAVITY  # if anything, all this is missing
-    # (H, W) bool, pixels that a robot may roll on, and lower levels; nowhere if the own floor is
-    # not known.
-    mask: np.ndarray = field(default_factory=lambda: np.zeros((0, 0), bool))
-    # (H, W) bool, pixels with depth that are not ground, without specks and flying pixels
-    obstacles: np.ndarray = field(default_factory=lambda: np.zeros((0, 0), bool))
-    # (H, W) float32, height of each pixel over the ground before it, and its standard deviation;
-    # NaN where depth is invalid or the own floor is not known
-    heights_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 0), np.float32))
-    height_sigmas_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 0), np.float32))
-    # (3,) float64, height of the smallest obstacle that the noise of the image lets see at
-    # OBSTACLE_DISTANCES_M; (0,) if the own floor is not known
-    smallest_obstacles_m: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    # (N, 3) float64, points along the edges where the ground ends and the next surface is lower,
-    # and by how much, (N,); NaN where nothing is seen behind the edge.
-    drops_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
-    drop_depths_m: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    drop_note: str = ''  # why there are no drops; empty if they are searched for
-    # Where the ground ends, and that this may be an edge or the end of the range of the sensor;
-    # empty if there is no such place.
-    edge_note: str = ''
-
-    @property
-    def is_known(self) -> bool:
-        """Whether nothing is lacking."""
-        return self.lack is GroundLack.NOTHING
 
 
 @dataclass(frozen=True)
@@ -409,36 +450,67 @@ class Mounting:
 
 
 @dataclass(frozen=True)
-class Detection(PlaneSegmentation):
-    """Result of the whole pipeline for one image."""
+class GroundResult:
+    """Where a robot may roll, what it must not hit, and where the ground ends."""
 
-    depth_m: np.ndarray  # (H, W) float32, NaN invalid; in the unit by ``scale_method``
-    scale_method: str  # ``metric``, ``fixed``, ...: metres; ``relative``: in an unknown unit
+    lack: GroundLack = GroundLack.GRAVITY  # if anything, all this is missing
+    # (H, W) bool, pixels that a robot may roll on, and lower levels; nowhere if the own floor is
+    # not known.
+    mask: np.ndarray = field(default_factory=lambda: np.zeros((0, 0), bool))
+    # (H, W) bool, pixels with depth that are not ground, without specks and flying pixels
+    obstacles: np.ndarray = field(default_factory=lambda: np.zeros((0, 0), bool))
+    # (H, W) float32, height of each pixel over the ground before it, and its standard deviation;
+    # NaN where depth is invalid or the own floor is not known
+    heights_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 0), np.float32))
+    height_sigmas_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 0), np.float32))
+    # (3,) float64, height of the smallest obstacle that the noise of the image lets see at
+    # OBSTACLE_DISTANCES_M; (0,) if the own floor is not known
+    smallest_obstacles_m: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    # (N, 3) float64, points along the edges where the ground ends and the next surface is lower,
+    # and by how much, (N,); NaN where nothing is seen behind the edge.
+    drops_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
+    drop_depths_m: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    drop_note: str = ''  # why there are no drops; empty if they are searched for
+    # Where the ground ends, and that this may be an edge or the end of the range of the sensor;
+    # empty if there is no such place.
+    edge_note: str = ''
+    camera_height_m: float = math.nan  # above the own floor; NaN unknown
+    tilt_deg: float = math.nan  # of the optical axis below the horizon; NaN unknown
+    mounting: Mounting | None = None  # if something of it is stated and a floor is seen
+
+    @property
+    def is_known(self) -> bool:
+        """Whether nothing is lacking."""
+        return self.lack is GroundLack.NOTHING
+
+
+@dataclass(frozen=True)
+class Detection(PlaneSegmentation):
+    """
+    Result of the whole pipeline for one image.
+
+    The answers about its ground are properties; ``ground_result`` has what belongs to them.
+    """
+
+    depth_m: np.ndarray  # (H, W) float32, NaN invalid; in the unit by ``scale``
+    scale: ScaleEstimate
+    gravity: Gravity = field(default=NO_GRAVITY, kw_only=True)  # as used for the classes
+    # Or an object with its attributes, computed on first access, as `find_ground` returns.
+    ground_result: GroundResult = field(default_factory=GroundResult, kw_only=True)
     # The depth is of a sensor, not of a network.
     is_measured: bool = field(default=True, kw_only=True)
     # How many pixels repeat which depth exactly and were dropped; empty if none.
     constant_note: str = field(default='', kw_only=True)
-    stage_seconds: Mapping[str, float] = field(default_factory=dict)
-    scale_note: str = ''  # result of the scale method with its uncertainty, or why there is none
     # What speaks against the camera, its depth or its gravity as given, with the remedy; empty if
     # nothing does.
     input_note: str = field(default='', kw_only=True)
-    scale_event: str = ''  # what changed with this image, if anything
-    shapes: tuple[Shape, ...] = ()  # largest first
+    scale_event: str = field(default='', kw_only=True)  # what changed with this image, if anything
+    shapes: tuple[Shape, ...] = field(default=(), kw_only=True)  # largest first
     # (H, W) int32, index into ``shapes``, -1 none; (0, 0) without shapes
-    shape_labels: np.ndarray = field(default_factory=lambda: NO_SHAPE_LABELS)
-    shape_note: str = ''  # why there are no shapes; empty if they are searched for
-    gravity_camera: np.ndarray | None = None  # (3,) float64, direction as used for the classes
-    # Its name as given if measured (``imu``, ``tf``), ``parameter``, ``image`` or ``none``.
-    gravity_source: str = 'none'
-    gravity_note: str = ''  # why the image does not give it, if it was tried
-    # That the direction is right within 5 degrees, if the image gives it; else NaN.
-    gravity_probability: float = float('nan')
-    # Or an object with these attributes, computed on first access, as `find_ground` returns.
-    ground_pixels: GroundPixels = field(default_factory=GroundPixels)
-    camera_height_m: float = float('nan')  # above the own floor; NaN unknown
-    tilt_deg: float = float('nan')  # of the optical axis below the horizon; NaN unknown
-    mounting: Mounting | None = None  # if something of it is stated and a floor is seen
+    shape_labels: np.ndarray = field(default_factory=lambda: NO_SHAPE_LABELS, kw_only=True)
+    # Why there are no shapes; empty if they are searched for.
+    shape_note: str = field(default='', kw_only=True)
+    stage_seconds: Mapping[str, float] = field(default_factory=dict, kw_only=True)
 
     @property
     def classes(self) -> tuple[PlaneClass, ...]:
@@ -448,39 +520,24 @@ class Detection(PlaneSegmentation):
     @property
     def ground(self) -> np.ndarray:
         """Pixels of the ground, (H, W) bool."""
-        return self.ground_pixels.mask
+        return self.ground_result.mask
 
     @property
     def obstacles(self) -> np.ndarray:
         """Pixels of obstacles, (H, W) bool."""
-        return self.ground_pixels.obstacles
-
-    @property
-    def heights_m(self) -> np.ndarray:
-        """Height of each pixel over the ground before it, (H, W) float32; NaN unknown."""
-        return self.ground_pixels.heights_m
-
-    @property
-    def height_sigmas_m(self) -> np.ndarray:
-        """Standard deviation of these heights, (H, W) float32; NaN unknown."""
-        return self.ground_pixels.height_sigmas_m
+        return self.ground_result.obstacles
 
     @property
     def drops_m(self) -> np.ndarray:
         """Points along the edges of the ground, (N, 3) float64."""
-        return self.ground_pixels.drops_m
+        return self.ground_result.drops_m
 
     @property
-    def drop_depths_m(self) -> np.ndarray:
-        """By how much it is down there, (N,) float64."""
-        return self.ground_pixels.drop_depths_m
+    def camera_height_m(self) -> float:
+        """Height of the camera above the own floor; NaN unknown."""
+        return self.ground_result.camera_height_m
 
     @property
-    def drop_note(self) -> str:
-        """Why there are no drops; empty if they are searched for."""
-        return self.ground_pixels.drop_note
-
-    @property
-    def edge_note(self) -> str:
-        """Where the ground ends with nothing behind, if that may not be an edge; else empty."""
-        return self.ground_pixels.edge_note
+    def tilt_deg(self) -> float:
+        """Angle of the optical axis below the horizon; NaN unknown."""
+        return self.ground_result.tilt_deg

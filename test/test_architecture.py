@@ -18,7 +18,7 @@ SOURCES = sorted(PACKAGE.rglob('*.py'))
 LAYERS = (('_runtime',), ('settings', 'stage_timer'),
           ('plane_fields',), ('config', 'types'), ('geometry',),
           ('depth', 'directions', 'segmentation', 'scale', 'tracking'), ('planes',),
-          ('ground', 'shapes', 'mapping'),
+          ('ground', 'shapes', 'mapping', 'network_steps'),
           ('pipeline', 'drawing'), ('ros',), ('tools',), ('evaluation',))
 # The same inside the segmentation, and what planes may know of it.
 SEGMENTATION_LAYERS = (('cells',), ('memory',), ('search',), ('regions',), ('pixels',),

@@ -92,7 +92,7 @@ def test_a_relative_network_becomes_metric_by_height_and_gravity(name):
                             & (np.abs(heights_m - scene.height_m) < 1e-3))
     if not floors.size:
         pytest.skip('this camera sees no floor')
-    assert found.scale_method == 'camera_height', found.scale_note
+    assert found.scale.unit_method == 'camera_height', found.scale
     floor = found.planes[iou[floors].max(axis=0).argmax()]
     assert floor.offset_m == pytest.approx(scene.height_m, rel=0.02)
     error = np.abs(found.depth_m / scene.depth_m - 1)

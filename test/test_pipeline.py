@@ -49,7 +49,7 @@ def test_metric_depth_is_segmented_unchanged():
     expected = segment_planes(SCENE.depth_m, SMALL)
     np.testing.assert_array_equal(found.labels, expected.labels)
     np.testing.assert_array_equal(plane_array(found), plane_array(expected))
-    assert found.scale_method == 'metric'
+    assert found.scale.unit_method == 'metric'
     np.testing.assert_array_equal(found.depth_m, SCENE.depth_m)
 
 
@@ -59,7 +59,7 @@ def test_metric_depth_is_segmented_unchanged():
                                        disparity_shift=SHIFT), 'fixed')])
 def test_disparity_of_known_scale_gives_the_planes_of_the_depth(output, scale, method):
     found, expected = detect(network(output), Config(scale=scale)), detect(network('metric_depth'))
-    assert found.scale_method == method
+    assert found.scale.unit_method == method
     np.testing.assert_allclose(found.depth_m, SCENE.depth_m, rtol=1e-3)
     assert len(found.planes) == pytest.approx(len(expected.planes), abs=1)
     np.testing.assert_allclose(plane_array(found)[:2], plane_array(expected)[:2], atol=2e-3)
@@ -74,9 +74,9 @@ def test_the_stated_noise_of_a_network_is_used():
 def test_measured_depth_needs_no_network():
     found = PlaneDetector(TOPIC).detect(SCENE.rgb, SMALL, SCENE.depth_m)
     np.testing.assert_array_equal(found.labels, segment_planes(SCENE.depth_m, SMALL).labels)
-    assert found.scale_method == 'metric'
-    assert found.scale_note == found.scale_event.removeprefix('scale: ')
-    assert found.scale_note == 'metric: measured depth'
+    assert found.scale.unit_method == 'metric'
+    assert str(found.scale) == found.scale_event.removeprefix('scale: ')
+    assert str(found.scale) == 'metric: measured depth'
 
 
 def test_depth_of_another_size_than_the_image_is_refused():

@@ -71,7 +71,7 @@ def test_axes_turn_planes_of_a_network_although_it_is_open_which_is_down(turns):
         errors, pixels = pure_errors(seen, planes, normals)
         return found, np.average(errors, weights=pixels)
     (found, by_axes), (_, raw) = errors_deg(DirectionsConfig()), errors_deg(OFF)
-    assert found.gravity_camera is None and set(found.classes) == {PlaneClass.UNKNOWN}
+    assert found.gravity.gravity_camera is None and set(found.classes) == {PlaneClass.UNKNOWN}
     assert by_axes < 1.0 < 10.0 < raw
 
 
@@ -94,10 +94,10 @@ def test_a_relative_network_has_true_angles_although_it_is_open_which_axis_is_do
     relative = (3.0 * (inverse - 0.1)).astype(np.float32)
     found = PlaneDetector(Config(), DepthFunction(
         lambda rgb: relative, 'relative_disparity', 0.004)).detect(rgb, camera)
-    assert found.gravity_camera is None and found.scale_method == 'relative'
+    assert found.gravity.gravity_camera is None and found.scale.unit_method == 'relative'
     assert set(found.classes) == {PlaneClass.UNKNOWN}
-    assert 'planes and the axes of the scene' in found.scale_note
-    assert 'directions.mounting: upright' in found.gravity_note
+    assert 'planes and the axes of the scene' in str(found.scale)
+    assert 'directions.mounting: upright' in found.gravity.note
     seen = overlap(labels, found.labels, np.ones(labels.shape, bool))
     errors, pixels = pure_errors(seen, planes, np.stack(
         [[*plane.normal, plane.offset_m] for plane in found.planes]))
@@ -112,7 +112,7 @@ def test_exact_planes_of_a_small_image_do_not_move():
                               'metric_depth', 0)
         found, off = (PlaneDetector(Config(directions=directions), model).detect(
             scene.rgb, camera) for directions in (DirectionsConfig(mounting='upright'), OFF))
-        assert found.gravity_source == 'image' and np.array_equal(found.labels, off.labels)
+        assert found.gravity.source == 'image' and np.array_equal(found.labels, off.labels)
         for one, other in zip(found.planes, off.planes, strict=True):
             assert angle_deg(one.normal, other.normal) < 0.05
 
@@ -122,23 +122,23 @@ def test_measured_depth_is_left_alone():
     found, off = (PlaneDetector(Config(depth=topic, directions=directions)).detect(
         SCENE.rgb, CAMERA, depth_m=WRONG_M) for directions in (DirectionsConfig(), OFF))
     assert same_planes(found, off)
-    assert found.gravity_source == 'image'
+    assert found.gravity.source == 'image'
 
 
 def test_a_relative_network_and_a_height_give_metres_without_an_imu():
     config = Config(scale=ScaleConfig(camera_height=SCENE.height_m),
                     directions=DirectionsConfig(mounting='upright'))
     found = detect(config, network(SCENE.depth_m, 'relative_disparity'))
-    assert found.scale_method == 'camera_height'
+    assert found.scale.unit_method == 'camera_height'
     ratio = found.depth_m / SCENE.depth_m
     assert np.nanmedian(ratio) == pytest.approx(1.0, abs=0.03)
     without = detect(Config(scale=config.scale, directions=OFF),
                      network(SCENE.depth_m, 'relative_disparity'))
-    assert without.scale_method == 'relative'
+    assert without.scale.unit_method == 'relative'
 
 
 def test_lines_along_the_black_corners_of_rectification_do_not_count():
     covered = np.zeros(SCENE.depth_m.shape, bool)
     covered[40:440, 60:580] = True
     rgb = np.where(covered[..., None], plain(), 0).astype(np.uint8)
-    assert detect(rgb=rgb, covered=covered).gravity_note.startswith('0 straight lines')
+    assert detect(rgb=rgb, covered=covered).gravity.note.startswith('0 straight lines')

@@ -73,8 +73,10 @@ def difference(one, other):
             return np.array_equal(a, b, equal_nan=True)
         return type(a) is type(b) and bool(a == b)
     names = [field.name for field in fields(Detection) if field.name != 'stage_seconds']
-    return [name for name in (*names, 'heights_m', 'obstacles', 'drops_m')
-            if name != 'ground_pixels' and not equal(getattr(one, name), getattr(other, name))]
+    return [name for name in names
+            if name != 'ground_result' and not equal(getattr(one, name), getattr(other, name))
+            ] + [name for name in ('heights_m', 'obstacles', 'drops_m') if not equal(
+                getattr(one.ground_result, name), getattr(other.ground_result, name))]
 
 
 def show(detector, seed, stamp_s):
@@ -150,7 +152,7 @@ def test_lines_are_sought_often_while_their_planes_are_not_trusted(is_measured, 
         found = detector.detect(rgb, CAMERA, seen.depth_m if is_measured else None,
                                 stamp_s=0.2 * k)
     assert len(found.planes) == 2
-    assert (found.gravity_camera is None) == is_measured
+    assert (found.gravity.gravity_camera is None) == is_measured
     assert len(searches) >= 15, 'held for no more than one image'
 
 
@@ -159,7 +161,8 @@ def test_the_vertical_turns_with_the_camera_however_long_it_stood():
     detector, worst_deg = PlaneDetector(MEASURED), 0.0
     for k in range(36):
         now = rolled(2.0 * max(k - 29, 0))
-        down = detector.detect(now.rgb, CAMERA, now.depth_m, stamp_s=0.1 * k).gravity_camera
+        found = detector.detect(now.rgb, CAMERA, now.depth_m, stamp_s=0.1 * k)
+        down = found.gravity.gravity_camera
         if down is not None:
             worst_deg = max(worst_deg, angle_deg(down, now.gravity_camera))
     assert down is not None

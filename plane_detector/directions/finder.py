@@ -11,7 +11,6 @@ from functools import partial
 import numpy as np
 
 from plane_detector.config import Config
-from plane_detector.directions.gravity_choice import LIKELY_SIGMAS, Gravity, choose_gravity
 from plane_detector.directions.line_segments import (
     LineSegments,
     detect_line_segments,
@@ -33,7 +32,8 @@ from plane_detector.directions.vanishing import (
     SceneDirections,
     find_directions,
 )
-from plane_detector.types import CameraIntrinsics, PlaneSegmentation
+from plane_detector.geometry.gravity import unit_direction
+from plane_detector.types import COARSE_DEG, CameraIntrinsics, Gravity, PlaneSegmentation
 
 # While a camera does not turn, as its planes show, the lines are held for so many times longer,
 # and each time that they are found again for twice as long, up to 2 s.
@@ -44,8 +44,8 @@ TURNED_RAD = math.radians(0.5)
 # Of a plane whose normal counts, and between two of them: a plane does not show turns about
 # its normal.
 LARGE_SHARE, APART_RAD = 0.02, math.radians(20)
-
-
+# Largest likely error of gravity from lines, in standard deviations.
+LIKELY_SIGMAS = 2.0
 # Error of a guessed focal length, as a share of it. derived: a horizontal field of view of 60 to
 # 75 degrees, taken as 67.
 GUESSED_FOCAL = 0.15
@@ -154,6 +154,38 @@ class Surroundings:
         if self.lines is None or self.lines.directions.open_axis is None:
             return np.zeros((0, 3))
         return self.lines.axes
+
+
+def choose_gravity(measured: np.ndarray | None, given: tuple[float, ...], tolerance_deg: float,
+                   directions: SceneDirections | None, measured_by: str = 'measured') -> Gravity:
+    """
+    Return the first available of measured, given and image direction.
+
+    Parameters
+    ----------
+    measured : (3,) floating, optional
+        From an accelerometer or a calibrated mounting.
+    given : (3,) float
+        The parameter ``scale.gravity``; 0 0 0 means unknown.
+    tolerance_deg : float
+        Of both. A coarse direction is replaced by one of the image that agrees with it.
+    directions : SceneDirections, optional
+        Of the image, if they were estimated.
+    measured_by : str
+        Name of the source of the measured direction.
+
+    """
+    down = unit_direction(given if measured is None else measured)
+    source = 'parameter' if measured is None else measured_by
+    seen = None if directions is None else directions.gravity_camera
+    if down is not None and (tolerance_deg <= COARSE_DEG or seen is None
+                             or seen @ down < np.cos(np.radians(tolerance_deg))):
+        return Gravity(down, tolerance_deg, source)
+    if seen is None:
+        return Gravity(None, tolerance_deg, 'none', directions.refusal if directions else '')
+    sigma_deg = np.degrees(np.sqrt(np.trace(directions.covariance) / 2))
+    return Gravity(seen, LIKELY_SIGMAS * float(sigma_deg), 'image',
+                   probability=directions.probability)
 
 
 class DirectionFinder:

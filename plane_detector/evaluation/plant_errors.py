@@ -28,7 +28,7 @@ TESTS = {
                      'test/segmentation'),
     'planes': ('test/test_cameras.py', 'test/planes'),
     'geometry': ('test/test_cameras.py', 'test/test_handed_over.py', 'test/geometry',
-                 'test/test_plane_fields.py'),
+                 'test/test_plane_fields.py', 'test/directions/test_gravity_choice.py'),
     'scale': ('test/test_cameras.py', 'test/scale'),
     'directions': ('test/directions', 'test/test_pipeline_directions.py',
                    'test/test_stream_state.py'),
@@ -68,11 +68,12 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
         ('is_trusted=(\n                seen.is_measured and '
          'around.gravity.gravity_camera is not None)',
          'is_trusted=True',
-         'planes of a network, or in the dark, show that nothing turns'),
+         'planes of a network, or in the dark, show that nothing turns'),),
+    'network_steps.py': (
         ('regions.restricted_to(np.isfinite(depth_m)) if is_rescaled else regions',
          'regions', 'planes have pixels beyond the largest depth'),
-        ('np.radians(np.nan_to_num(scale.angle_sigma_deg)))',
-         '0.0)', 'the error of the shift does not reach the orientation'),),
+        ('np.radians(np.nan_to_num(scale.angle_sigma_deg))))',
+         '0.0))', 'the error of the shift does not reach the orientation'),),
     'geometry/projection.py': (
         ('/ intrinsics.fx', '/ intrinsics.fy', 'fy for fx'),
         ('.width) - intrinsics.cx', '.width) + 1 - intrinsics.cx', 'a pixel off')),
@@ -169,13 +170,13 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
         ('(1 - USUAL_RATIO) - near', '(1 - USUAL_RATIO) - far', 'the usual shift at the far end'),
         ('Posterior(downs[kept], masses', 'Posterior(-downs[kept], masses', 'gravity points up'),
         ('(best % 3 + 1) % 3', 'best % 3', 'the vertical is its own horizontal axis')),
-    'directions/gravity_choice.py': (
+    'types.py': (
+        ('self.tolerance_deg <= COARSE', 'self.tolerance_deg > COARSE',
+         'coarse gravity is sure'),),
+    'directions/finder.py': (
         ('LIKELY_SIGMAS * float(sigma', 'LIKELY_SIGMAS / float(sigma',
          'the surest vertical is off most'),
-        ('self.tolerance_deg <= COARSE', 'self.tolerance_deg > COARSE',
-         'coarse gravity is sure'),
-        ("' if measured is None", "' if measured is not None", 'wrong source of gravity'),),
-    'directions/finder.py': (
+        ("' if measured is None", "' if measured is not None", 'wrong source of gravity'),
         ('if not is_trusted or _has_turned(self._normals, normals):',
          'if not is_trusted:', 'lines are held while the camera turns'),
         ('(abs(same @ same.T) > math', '(abs(same @ same.T) < math',
@@ -413,7 +414,7 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
 
 def part_of(file: str) -> str:
     """Return the part of TESTS that a file belongs to: its folder; in ros, inputs or outputs."""
-    if file == 'pipeline.py':
+    if file in ('pipeline.py', 'network_steps.py'):
         return 'pipeline'
     folder = file.split('/')[0] if '/' in file else 'geometry'
     if folder != 'ros':

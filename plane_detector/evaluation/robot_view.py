@@ -99,8 +99,7 @@ def _painted(scene: Scene, course: Course, rotation: np.ndarray, position: np.nd
 def drawn(rgb: np.ndarray, found: Detection) -> np.ndarray:
     """Return the image with ground, obstacles, drops and the labels of the planes."""
     result = rgb.copy()
-    for mask, colour in ((found.ground_pixels.mask, GREEN),
-                         (found.ground_pixels.obstacles, ORANGE)):
+    for mask, colour in ((found.ground, GREEN), (found.obstacles, ORANGE)):
         result[mask] = (1 - _SHARE) * rgb[mask] + _SHARE * np.array(colour)
     for point_m in found.drops_m:
         u, v = (CAMERA.fx * point_m[0] / point_m[2] + CAMERA.cx,

@@ -78,7 +78,7 @@ def occupancy_grid(found: Detection, intrinsics: CameraIntrinsics, to_level: Rig
     cells = np.full((count, count), UNKNOWN, np.int8)
     ray_x, ray_y = pixel_rays(intrinsics)
     moved = np.column_stack([to_level.rotation, to_level.translation_m])
-    pixels = found.ground_pixels
+    pixels = found.ground_result
     # Across a smaller gap no drop of `min_drop` is less steep than `max_slope`.
     gap_m = ground.min_drop / np.tan(np.radians(max(ground.max_slope, 1.0)))
     _mark(found.depth_m, ray_x, ray_y, moved, pixels.mask, pixels.obstacles, pixels.heights_m,

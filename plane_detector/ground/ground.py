@@ -12,7 +12,6 @@ import numpy as np
 
 from plane_detector._runtime.compilation import load_once
 from plane_detector.config import Config, GroundConfig
-from plane_detector.directions.gravity_choice import COARSE_DEG, Gravity
 from plane_detector.geometry.disparity import valid_depth
 from plane_detector.geometry.projection import pixel_rays
 from plane_detector.geometry.robust import order_statistics
@@ -34,10 +33,12 @@ from plane_detector.planes.classification import (
 )
 from plane_detector.segmentation.cells.labels import rename_labels
 from plane_detector.types import (
+    COARSE_DEG,
     OBSTACLE_DISTANCES_M,
     CameraIntrinsics,
+    Gravity,
     GroundLack,
-    GroundPixels,
+    GroundResult,
     Mounting,
     PlaneSegmentation,
 )
@@ -105,12 +106,8 @@ class Ground:
 
     classes: np.ndarray  # (K,) uint8, values of `PlaneClass`
     # the ground of the image and the drops, in the optical frame
-    pixels: GroundPixels | SeenGround
+    result: GroundResult | SeenGround
     reach: SensorReach  # with what this image shows of it
-    # height above the own floor, and angle of the optical axis below the horizon; NaN unknown
-    camera_height_m: float = np.nan
-    tilt_deg: float = np.nan
-    mounting: Mounting | None = None  # if something of it is stated and a floor is seen
 
 
 @dataclass(frozen=True)
@@ -217,7 +214,7 @@ class Surfaces:
 @dataclass(frozen=True, eq=False)
 class SeenGround:
     """
-    As :class:`~plane_detector.types.GroundPixels`, found when its attributes are first read.
+    As :class:`~plane_detector.types.GroundResult`, found when its attributes are first read.
 
     They take most of the time of :func:`find_ground`, and only a few users read them.
     """
@@ -236,6 +233,9 @@ class SeenGround:
     reach: SensorReach
     max_range_m: float  # as stated; 0: not known
     doubt: str  # why drops are not searched for
+    tilt_deg: float
+    camera_height_m: float = np.nan
+    mounting: Mounting | None = None
     lack, is_known = GroundLack.NOTHING, True
 
     @property
@@ -448,18 +448,18 @@ def find_ground(found: PlaneSegmentation, depth_m: np.ndarray, intrinsics: Camer
     pixels = SeenGround(depth_m, labels, ways, rays, intrinsics.fx, surfaces.table(),
                         np.zeros(len(found.planes) + 1, bool), -1, down32, limits,
                         float(found.disparity_noise), reach, config.depth.max_range,
-                        'no floor is seen')
+                        'no floor is seen', tilt_deg)
     if valid_depth(depth_m[::8, ::8]).mean() < SEEN_SHARE:
         return Ground(classify_planes(found.planes, down), _nothing(
             labels, 'nothing is seen: hardly any pixel has a depth up to '
-            f'{config.depth.max_depth:g} m', GroundLack.DEPTH), reach, tilt_deg=tilt_deg)
+            f'{config.depth.max_depth:g} m', GroundLack.DEPTH, tilt_deg), reach)
     if is_metric:
         reach = reach.extended(depth_m, intrinsics, config.depth.max_depth)
         pixels = replace(pixels, reach=reach)
     if own is None:
         return Ground(classify_planes(found.planes, down),
-                      pixels if is_metric else _nothing(labels, pixels.doubt, GroundLack.UNIT),
-                      reach, tilt_deg=tilt_deg)
+                      pixels if is_metric else _nothing(labels, pixels.doubt, GroundLack.UNIT,
+                                                        tilt_deg), reach)
     height_m = float(surfaces.heights()[own])
     unit_m = 1.0 if is_metric else height_m
     # 3. What joins it.
@@ -485,7 +485,7 @@ def find_ground(found: PlaneSegmentation, depth_m: np.ndarray, intrinsics: Camer
                        own if is_metric else -1)
     if not is_metric:
         return Ground(classes, _nothing(labels, 'the unit of depth is not known',
-                                        GroundLack.UNIT), reach, tilt_deg=tilt_deg)
+                                        GroundLack.UNIT, tilt_deg), reach)
     # 4. and 5. Pixels and drops.
     error_m = SIGMAS * float(found.disparity_noise) * TOLD_AT_M * height_m
     if not doubt and error_m > LARGEST_ERROR_M:
@@ -498,17 +498,18 @@ def find_ground(found: PlaneSegmentation, depth_m: np.ndarray, intrinsics: Camer
         names = np.arange(len(found.planes))
         names[plane_count:][~is_ground[plane_count:-1]] = -1
         pixels = replace(pixels, labels=rename_labels(labels, names))
-    pixels = replace(pixels, is_ground=is_ground, own=own, doubt=doubt)
     # Of a curved floor, no piece states how the camera is mounted over it.
     is_piece = plane_count is not None and plane_count <= own < len(found.planes)
     mounting = None if is_piece else _mounting(found, labels, ways, gravity, config, own)
-    return Ground(classes, pixels, reach, height_m, tilt_deg, mounting)
+    return Ground(classes, replace(pixels, is_ground=is_ground, own=own, doubt=doubt,
+                                   camera_height_m=height_m, mounting=mounting), reach)
 
 
-def _nothing(labels: np.ndarray, note: str, lack: GroundLack = GroundLack.GRAVITY) -> GroundPixels:
+def _nothing(labels: np.ndarray, note: str, lack: GroundLack = GroundLack.GRAVITY,
+             tilt_deg: float = np.nan) -> GroundResult:
     """Return that no pixel of an image is ground or obstacle, why, and what it lacks for that."""
-    return GroundPixels(lack, np.zeros(labels.shape, bool), np.zeros(labels.shape, bool),
-                        drop_note=note)
+    return GroundResult(lack, np.zeros(labels.shape, bool), np.zeros(labels.shape, bool),
+                        drop_note=note, tilt_deg=tilt_deg)
 
 
 @lru_cache(maxsize=4)

@@ -44,7 +44,6 @@ from plane_detector.mapping.registration import (
     register,
 )
 from plane_detector.planes.outline import PlacedDetection
-from plane_detector.scale.estimate import RELATIVE
 from plane_detector.types import CameraIntrinsics, Detection, Planes
 
 # The plane fitted to an exact surface differs by this, 1/m: rounding of depth and poses.
@@ -146,7 +145,7 @@ class PlaneMap:
         """
         if placed.pose is None:
             raise ValueError('there is no map without poses')
-        if placed.detection.scale_method == RELATIVE:
+        if not placed.detection.scale.is_metric:
             raise ValueError('there is no map without metres, and the scale of the depth is not '
                              'known: see scale.method')
         load_once('mapping')
@@ -450,7 +449,7 @@ class _Image:
 
     @property
     def down(self) -> np.ndarray | None:
-        return self.placed.detection.gravity_camera
+        return self.placed.detection.gravity.gravity_camera
 
     def view(self, camera: RigidTransform) -> View:
         """Return the image from a pose in the map."""

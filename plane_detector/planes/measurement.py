@@ -9,6 +9,8 @@ With X = (u - cx) / fx and Y = (v - cy) / fy a plane is 1/z = A X + B Y + C. Its
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from plane_detector._runtime.compilation import kernel
@@ -27,7 +29,7 @@ from plane_detector.segmentation.cells.plane_fit import (
     Y,
     squared_error,
 )
-from plane_detector.types import CameraIntrinsics, Planes
+from plane_detector.types import CameraIntrinsics, Planes, PlaneSegmentation
 
 # derived: the columns of the sums behind those of the moments: z x, z y and z of the plane at the
 # middle of the cells, z**3 of the plane, and the square of (1/z - plane) / (1/z); then the first
@@ -57,6 +59,8 @@ CONFIDENCE_WEIGHTS = (1.19, 0.43, -0.56)
 # without, .142 to .147 from .028 to .056; rooms .064 without, .066 to .065. At 1 times the noise
 # rooms get .089, at 1.5 times nothing changes.
 MAX_ROUGHNESS, NOISE_MARGIN = 0.04, 1.2
+Measure = Callable[[PixelRegions, CameraIntrinsics, float], tuple[Planes, np.ndarray]]
+"""As :func:`measure_planes`."""
 
 
 def measure_planes(regions: PixelRegions, intrinsics: CameraIntrinsics,
@@ -90,6 +94,16 @@ def measure_planes(regions: PixelRegions, intrinsics: CameraIntrinsics,
     kept = kept[is_kept[kept]]
     labels = relabel_sequential(regions.labels, kept, len(sums))
     return planes_from_sums(regions, sums, kept, intrinsics), labels
+
+
+def measured_segmentation(regions: PixelRegions, intrinsics: CameraIntrinsics, min_share: float,
+                          measure: Measure = measure_planes) -> PlaneSegmentation:
+    """Measure the planes that cover at least a share of the image."""
+    min_pixels = min_share * regions.labels.size
+    planes, labels = measure(regions, intrinsics, min_pixels)
+    return PlaneSegmentation(planes, labels, regions.noise.mean_sigma,
+                             systematic_noise=regions.noise.systematic_sigma,
+                             plane_note=missing_planes_note(regions, labels, min_pixels))
 
 
 def missing_planes_note(regions: PixelRegions, labels: np.ndarray, min_pixels: float) -> str:

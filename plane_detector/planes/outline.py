@@ -95,7 +95,7 @@ def all_polygons(labels: np.ndarray, ends: np.ndarray, intrinsics: CameraIntrins
     Examples
     --------
     >>> camera = CameraIntrinsics(100.0, 100.0, 0.0, 0.0, 101, 51)
-    >>> from plane_detector.types import Plane
+    >>> from plane_detector.types import METRIC, Plane
     >>> wall = Plane(np.array([0.0, 0.0, -1.0]), 2.0, np.zeros(3), 1, 0.0, 1.0, np.eye(4), 1.0)
     >>> labels = np.zeros((51, 101), np.int32)
     >>> ((polygon,),) = all_polygons(labels, row_ends(labels, 1), camera, Planes.of([wall]))
@@ -308,10 +308,10 @@ class PlacedDetection:
 
     Examples
     --------
-    >>> from plane_detector.types import Plane
+    >>> from plane_detector.types import METRIC, Plane
     >>> wall = Plane(np.array([0, 0, -1.0]), 2.0, np.array([0, 0, 2.0]), 9, 0.0, 1.0, np.eye(4), 1)
     >>> found = Detection(Planes.of([wall]), np.zeros((3, 3), np.int32), 0.0,
-    ...                   np.full((3, 3), 2.0, np.float32), 'metric')
+    ...                   np.full((3, 3), 2.0, np.float32), METRIC)
     >>> forward = RigidTransform(np.eye(3), np.array([0.0, 0.0, 1.0]))
     >>> placed = PlacedDetection(found, CameraIntrinsics(3.0, 3.0, 1.0, 1.0, 3, 3), forward)
     >>> placed.planes.centroids_m, [round(one.width_m, 3) for one in placed.rectangles]

@@ -52,7 +52,6 @@ from plane_detector.ros.inputs.subscriptions import Subscriptions, anchor_role, 
 from plane_detector.ros.inputs.transforms import FrameTransforms, listen_to_tf
 from plane_detector.ros.live_map import LiveMap
 from plane_detector.ros.live_settings import LiveSettings, load_kernels
-from plane_detector.ros.map_interface import MapInterface
 from plane_detector.ros.outputs.frame import DetectedFrame
 from plane_detector.ros.outputs.topics import OUTPUTS, OutputPublishers, frame_to_json
 from plane_detector.ros.point_query import PointQuery
@@ -107,8 +106,7 @@ class PlaneDetectorNode(LifecycleNode):
         self._inputs: Subscriptions | None = None
         self._outputs: OutputPublishers | None = None
         self._query: PointQuery | None = None
-        self._live_map: LiveMap | None = None
-        self._map: MapInterface | None = None
+        self._map: LiveMap | None = None
         # Answers that another thread gives wake the executor.
         self._requests = FrameRequests(self.create_guard_condition(lambda: None).trigger)
         self._faults = FaultLog(self.get_logger(), 'frame skipped')
@@ -153,9 +151,9 @@ class PlaneDetectorNode(LifecycleNode):
             detector = self._transitions.prepared()
             self._outputs = OutputPublishers(self, OUTPUTS)
             if detector.config.map.enabled:
-                self._live_map = LiveMap(detector.config.map, self._live.settings.target_frame)
-                self._map = MapInterface(self, self._live_map, detector.config.map.file)
-            self._query = PointQuery(self, self._live_map)
+                self._map = LiveMap(detector.config.map, self._live.settings.target_frame)
+                self._map.offer(self, detector.config.map.file)
+            self._query = PointQuery(self, self._map)
             self._listening = self._needed_tf()
         except ImportError as error:
             raise CannotRunError(explanation(error)) from error
@@ -168,7 +166,7 @@ class PlaneDetectorNode(LifecycleNode):
         topics['image'] = topics[anchor_role(depth)]
         self._processor = FrameProcessor(detector, self._live.settings, topics['image'],
                                          self._given_transforms or self._listening,
-                                         self._live_map)
+                                         self._map)
         self._flow = FrameFlow(
             self._processor, self._outputs, self._query, self._live,
             FrameRecords(self._statistics, self._requests, self._faults, self._health))
@@ -272,9 +270,9 @@ class PlaneDetectorNode(LifecycleNode):
             return DiagnosticStatus.ERROR, self._health.failure, facts
         if self._inputs is None:
             return DiagnosticStatus.OK, facts['state'], facts
-        if self._live_map is not None:
-            facts.update(self._live_map.facts())
-            for event in self._live_map.take_events():
+        if self._map is not None:
+            facts.update(self._map.facts())
+            for event in self._map.take_events():
                 self.get_logger().warning(event)
         self._inputs.follow_publishers()
         for publishers in filter(None, (self._outputs, self._map)):
@@ -288,8 +286,8 @@ class PlaneDetectorNode(LifecycleNode):
         if not silence:
             silence = self._inputs.explain_loss()
             self._health.warn_of_changes('loss', silence)
-        if not silence and self._live_map is not None:
-            silence = self._live_map.problem()
+        if not silence and self._map is not None:
+            silence = self._map.problem()
             self._health.warn_of_changes('map', silence)
         self._requests.expire(obstacle)
         arrivals = self._inputs.count.arrivals()
@@ -364,7 +362,7 @@ class PlaneDetectorNode(LifecycleNode):
         for ends in (self._outputs, self._map, self._query, self._listening):
             if ends is not None:
                 ends.destroy()
-        self._outputs = self._map = self._live_map = self._query = self._listening = None
+        self._outputs = self._map = self._query = self._listening = None
         self._processor = None
         self._health.clear()
         return TransitionCallbackReturn.SUCCESS

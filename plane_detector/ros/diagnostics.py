@@ -25,7 +25,6 @@ from plane_detector._runtime.compilation import are_ready
 from plane_detector.ros.outputs.frame import DetectedFrame
 from plane_detector.ros.outputs.markers import plane_name
 from plane_detector.ros.qos import SILENT_PUBLISHER, overriding_options
-from plane_detector.scale.estimate import RELATIVE
 from plane_detector.types import OBSTACLE_DISTANCES_M, Detection, GroundLack
 
 HARDWARE_ID = 'plane_detector'
@@ -179,8 +178,8 @@ class Health:
 
         ``wanted`` are the outputs that have subscribers, ``stamp_s`` the time of the image.
         """
-        self._last = detection
-        self._note_mounting(detection.mounting.problem if detection.mounting else '', stamp_s)
+        self._last, mounting = detection, detection.ground_result.mounting
+        self._note_mounting(mounting.problem if mounting else '', stamp_s)
         if detection.input_note:  # once, however its numbers vary
             self.warn_once(_NUMBER.sub('', detection.input_note), detection.input_note)
         if detection.scale_event:
@@ -198,11 +197,11 @@ class Health:
 
     def _note_filled(self, gap: str, detection: Detection) -> None:
         """Log once what is known now, if its absence was a warning or the image has shown it."""
-        is_in_image = 'gravity' in gap and not math.isnan(detection.gravity_probability)
+        is_in_image = 'gravity' in gap and not math.isnan(detection.gravity.probability)
         if self._gap_images < _PATIENT_IMAGES and not is_in_image:
             return
-        filled = (f'gravity found in the image, probability {detection.gravity_probability:.2f}'
-                  if is_in_image else f'gravity known: {detection.gravity_source}'
+        filled = (f'gravity found in the image, probability {detection.gravity.probability:.2f}'
+                  if is_in_image else f'gravity known: {detection.gravity.source}'
                   if 'gravity' in gap else gap.partition(':')[0].replace('is silent', 'is back'))
         if (key := _NUMBER.sub('', filled)) not in self._warned:
             self._warned.add(key)
@@ -249,9 +248,9 @@ class Health:
 
 def _facts_of(detection: Detection, late_failure: str) -> dict[str, str]:
     """Return the facts of a frame for the diagnostics."""
-    facts = {'scale': detection.scale_method, 'scale_note': detection.scale_note,
-             'gravity': detection.gravity_source}
-    if detection.scale_method != RELATIVE:
+    facts = {'scale': detection.scale.unit_method, 'scale_note': str(detection.scale),
+             'gravity': detection.gravity.source}
+    if detection.scale.is_metric:
         facts['noise'] = (f'{detection.disparity_noise:.4f} 1/m, of which '
                           f'{detection.systematic_noise:.4f} bend planes')
     if detection.input_note:
@@ -260,22 +259,22 @@ def _facts_of(detection: Detection, late_failure: str) -> dict[str, str]:
         facts['planes_dropped'] = detection.plane_note
     if detection.constant_note:
         facts['constant_depth'] = detection.constant_note
-    if detection.gravity_note:
-        facts['gravity_note'] = detection.gravity_note
-    if detection.gravity_probability == detection.gravity_probability:  # not NaN
-        facts['gravity_probability'] = f'{detection.gravity_probability:.2f}'
+    if detection.gravity.note:
+        facts['gravity_note'] = detection.gravity.note
+    if detection.gravity.probability == detection.gravity.probability:  # not NaN
+        facts['gravity_probability'] = f'{detection.gravity.probability:.2f}'
     if detection.camera_height_m == detection.camera_height_m:
         facts['camera_height_m'] = f'{detection.camera_height_m:.3f}'
     if detection.tilt_deg == detection.tilt_deg:
         facts['camera_tilt_deg'] = f'{detection.tilt_deg:.1f}'
-    if (mounting := detection.mounting) is not None:
+    if (mounting := detection.ground_result.mounting) is not None:
         facts['mounting'] = ', '.join(
             f'{name} {stated:.{digits}f} {unit} stated, {seen:.{digits}f} seen'
             for name, stated, seen, unit, digits in (
                 ('height', mounting.stated_height_m, mounting.height_m, 'm', 3),
                 ('tilt', mounting.stated_tilt_deg, mounting.tilt_deg, 'degrees', 1))
             if stated == stated)  # not NaN
-    if (smallest_m := detection.ground_pixels.smallest_obstacles_m).size:
+    if (smallest_m := detection.ground_result.smallest_obstacles_m).size:
         facts['smallest_obstacle_m'] = ', '.join(
             f'{height_m:.3f} at {ahead_m:g} m'
             for ahead_m, height_m in zip(OBSTACLE_DISTANCES_M, smallest_m, strict=True))
@@ -287,14 +286,14 @@ def _facts_of(detection: Detection, late_failure: str) -> dict[str, str]:
 
 def _drops_of(detection: Detection, late_failure: str) -> str:
     """Return what is known of drops; they are searched for when first read."""
-    found = detection.ground_pixels
+    found = detection.ground_result
     if found.is_known and not are_ready('ground_pixels'):
         return ('not counted: their kernels are being compiled' if not late_failure else
                 f'not counted, their kernels cannot be compiled ({late_failure}): restart the '
                 'node; if that fails too, install numba anew')
-    if detection.drop_note and not found.edge_note:
-        return f'not looked for: {detection.drop_note}'
-    points = f'{len(detection.drops_m)} points'
+    if found.drop_note and not found.edge_note:
+        return f'not looked for: {found.drop_note}'
+    points = f'{len(found.drops_m)} points'
     return f'{points}; unknown: {found.edge_note}' if found.edge_note else points
 
 
@@ -304,14 +303,15 @@ def missing_for_classes(detection: Detection, wanted: Collection[str]) -> str:
 
     ``wanted`` are the names of the outputs that have subscribers.
     """
-    if detection.ground_pixels.is_known:
-        is_silent = DROPS in wanted and detection.drop_note
-        return f'~/{DROPS} is silent: {detection.drop_note}' if is_silent else ''
-    lost, is_relative = POINTS_WITHOUT_FLOOR in wanted, detection.scale_method == RELATIVE
+    found = detection.ground_result
+    if found.is_known:
+        is_silent = DROPS in wanted and found.drop_note
+        return f'~/{DROPS} is silent: {found.drop_note}' if is_silent else ''
+    lost, is_relative = POINTS_WITHOUT_FLOOR in wanted, not detection.scale.is_metric
     silent = f'~/{POINTS_WITHOUT_FLOOR} is silent'
-    if detection.ground_pixels.lack is not GroundLack.GRAVITY:
-        why = f' ({detection.scale_note})' if is_relative else ''
-        return f'{silent}: {detection.drop_note}{why}' if lost else ''
+    if found.lack is not GroundLack.GRAVITY:
+        why = f' ({detection.scale})' if is_relative else ''
+        return f'{silent}: {found.drop_note}{why}' if lost else ''
     if detection.planes:
         silent = 'planes have no class' + (f', and {silent}' if lost else '')
     elif not lost:
@@ -319,7 +319,7 @@ def missing_for_classes(detection: Detection, wanted: Collection[str]) -> str:
     if is_relative:
         return (f'{silent}: neither metres nor gravity are known; give scale.camera_height and '
                 f'{GRAVITY_SOURCES}')
-    by_image = f' ({detection.gravity_note})' if detection.gravity_note else ''
+    by_image = f' ({detection.gravity.note})' if detection.gravity.note else ''
     return f'{silent}: the direction of gravity is not known{by_image}; give {GRAVITY_SOURCES}'
 
 
@@ -416,7 +416,7 @@ def planes_status(name: str, frame: DetectedFrame,
     rows = {'planes': str(len(detection.planes))}
     if planes_in_all is not None:
         rows['planes_in_all'] = str(planes_in_all)
-    is_metric = detection.scale_method != RELATIVE
+    is_metric = detection.scale.is_metric
     unit = ' m' if is_metric else ''
     for plane, rectangle in zip(detection.planes, frame.rectangles, strict=True):
         sides = f'{rectangle.width_m:.2f} x {rectangle.height_m:.2f}{unit}'

@@ -1,22 +1,30 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""The map of a node or of a replay: which images join it, when it is published, its messages."""
+"""The map of a node or of a replay: which images join it, its topics and services."""
 
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
 from copy import copy
+from functools import partial
 from pathlib import Path
 
 import numpy as np
+from rclpy.clock import Clock, ClockType
+from rclpy.lifecycle import LifecycleNode
 from std_msgs.msg import Header
+from std_srvs.srv import Trigger
 
+from plane_detector._runtime.plain_text import plain
 from plane_detector.config import MapConfig
 from plane_detector.mapping.map_plane import MapPlane
 from plane_detector.mapping.plane_map import MapUpdate, PlaneMap
 from plane_detector.mapping.registration import MOST_CORRECTION_M
+from plane_detector.ros import qos
+from plane_detector.ros.fault_log import MOST_OF_FAILURE
 from plane_detector.ros.outputs.frame import DetectedFrame, MapView
-from plane_detector.ros.outputs.topics import make_map_messages
+from plane_detector.ros.outputs.topics import MAP_OUTPUTS, OutputPublishers, make_map_messages
 from plane_detector.types import Planes
 
 # chosen: the map is published at most twice a second; in a bag, by the stamps of the images.
@@ -25,10 +33,18 @@ PERIOD_S = 0.5
 CLICK_REACH_M = 0.1
 # chosen: a camera that has not moved for so many images may be fixed to the target frame.
 _STILL_IMAGES = 30
+AUTO = 'auto'
+"""Setting of a file that is named after the node."""
 
 
 class LiveMap:
-    """A map of planes that several threads may use; ValueError without a frame of the poses."""
+    """
+    A map of planes that several threads may use; ValueError without a frame of the poses.
+
+    In a node it has topics and services, see :meth:`offer`. All they do is done in the thread of
+    the executor: the topics are the map at the time of a timer, which simulated time does not
+    stop, and after a service. While the node is not active they wait.
+    """
 
     def __init__(self, config: MapConfig, target_frame: str):
         if not target_frame:
@@ -46,6 +62,57 @@ class LiveMap:
         self._still_images = 0
         self._obstacle = ''
         self._without_pose = 0
+        self._outputs: OutputPublishers | None = None  # of a node that offers them
+        self._destroy: list[Callable[[], object]] = []  # what a node offers
+
+    def offer(self, node: LifecycleNode, file: str) -> None:
+        """
+        Make the topics and services of a node, for the ``file`` of the setting ``map.file``.
+
+        Raises
+        ------
+        ValueError
+            The file has no name.
+
+        """
+        path = file_of(file, node)
+        self._outputs = OutputPublishers(node, MAP_OUTPUTS, latched=True)
+        self._destroy.append(self._outputs.destroy)
+        for name, act in (('clear', self.clear), ('save', partial(self.save, path)),
+                          ('load', partial(self.load, path))):
+            service = node.create_service(
+                Trigger, f'~/map/{name}', partial(self._answer, act, node.get_logger().warning),
+                qos_profile=qos.service_profile())
+            self._destroy.append(partial(node.destroy_service, service))
+        timer = node.create_timer(PERIOD_S, self.publish,
+                                  clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._destroy.append(partial(node.destroy_timer, timer))
+
+    def publish(self) -> None:
+        """Publish the map if the node is active and the map has changed since it was published."""
+        if self._outputs.are_activated and (view := self.take_view()) is not None:
+            self._outputs.publish(make_map_messages(view))
+
+    def misfits(self) -> dict[str, str]:
+        """Return why subscribers receive nothing, as that of the other outputs."""
+        return self._outputs.misfits()
+
+    def destroy(self) -> None:
+        """Destroy publishers, services and timer."""
+        while self._destroy:
+            self._destroy.pop()()
+
+    def _answer(self, act: Callable[[], str], warn: Callable[[str], object],
+                _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        try:
+            response.success, response.message = True, act()
+        except Exception as error:  # whatever a file holds, the call is answered
+            reason = plain(str(error), MOST_OF_FAILURE)
+            response.success, response.message = False, reason
+            warn(f'map: {reason}')
+            return response
+        self.publish()
+        return response
 
     def add(self, frame: DetectedFrame, epoch: int = 0) -> None:
         """Add an image if it can be."""
@@ -181,3 +248,21 @@ class LiveMap:
         """Note that this is another map than before."""
         self._update, self._subsumed, self._has_changed = None, {}, True
         self._due_s = -np.inf
+
+
+def file_of(setting: str, node: LifecycleNode) -> Path:
+    """
+    Return the file of a map.
+
+    Raises
+    ------
+    ValueError
+        It is empty.
+
+    """
+    if not setting.strip():
+        raise ValueError('map.file is empty: set it to the file of the map, or to auto')
+    if setting == AUTO:
+        name = node.get_fully_qualified_name().strip('/').replace('/', '_')
+        return Path(f'{name}_map.json')
+    return Path(setting).expanduser()

@@ -20,14 +20,14 @@ from functools import cached_property
 import numpy as np
 
 from plane_detector.config import ScaleConfig
-from plane_detector.geometry.disparity import UNITLESS, sampled_quantiles
+from plane_detector.geometry.disparity import UNITLESS, sampled_quantiles, to_depth
 from plane_detector.geometry.gravity import unit_direction
 from plane_detector.scale.disparity_planes import DisparityPlanes
-from plane_detector.scale.estimate import RELATIVE, ScaleEstimate
 from plane_detector.scale.floor import fit_floor
 from plane_detector.scale.right_angles import PerpendicularAxes, find_perpendicular_axes
 from plane_detector.scale.sensor_depth import fit_measured_depth
 from plane_detector.scale.shift_posterior import ShiftEstimate, estimate_shift, frames_about
+from plane_detector.types import METRIC, RELATIVE, ScaleEstimate
 
 # The tolerance of gravity is so many standard deviations.
 COARSE_GRAVITY_DEG, TOLERANCE_SIGMAS = 5.0, 2.0
@@ -39,6 +39,8 @@ MAX_UNCERTAINTY = 0.3
 # The farthest pixels are those at this quantile, so that noise at the horizon does not count.
 FAR_QUANTILE = 0.01
 SPAN_QUANTILES = (0.1, 0.5, 0.9)
+# Depths beyond this multiple of the arbitrary unit are invalid if metres are unknown.
+MAX_RELATIVE_DEPTH = 1000.0
 
 
 @dataclass(frozen=True)
@@ -48,7 +50,6 @@ class ScaleEvidence:
     disparity: np.ndarray  # (H, W) floating: affine in 1/z; not finite where invalid
     find_planes: Callable[[], DisparityPlanes]  # of it; called when needed, at most once
     output: str = 'relative_disparity'  # kind, as in `plane_detector.types.Prediction`
-    is_measured: bool = False  # by a sensor, in 1/metres
     # (3,) in the optical frame, of any length; None or 0: unknown.
     gravity_camera: np.ndarray | None = None
     down_tolerance_deg: float = 0.0  # largest error of gravity
@@ -141,7 +142,7 @@ def estimate_scale(evidence: ScaleEvidence, config: ScaleConfig | None = None) -
     refusals, unitless = [], None
     asked = (tuple(METHODS) if config.method == 'auto' else
              () if config.method == 'none' else (config.method,))
-    for method in ('metric',) if evidence.is_measured else asked:
+    for method in asked:
         estimate = METHODS[method](evidence, config)
         if isinstance(estimate, str):
             refusals.append(f'{method}: {estimate}')
@@ -180,8 +181,7 @@ def _unit_scale(evidence: ScaleEvidence, tau: float) -> float:
 def _metric(evidence: ScaleEvidence, _config: ScaleConfig) -> ScaleEstimate | str:
     if evidence.output in UNITLESS:
         return 'the network does not give metres'
-    note = 'measured depth' if evidence.is_measured else 'metres of the network'
-    return ScaleEstimate(1.0, 0.0, 'metric', True, True, np.nan, note, (np.nan,) * 3)
+    return replace(METRIC, note='metres of the network')
 
 
 def _depth_topic(evidence: ScaleEvidence, _config: ScaleConfig) -> ScaleEstimate | str:
@@ -257,3 +257,15 @@ def _fixed(evidence: ScaleEvidence, config: ScaleConfig) -> ScaleEstimate | str:
 METHODS: dict[str, Callable[[ScaleEvidence, ScaleConfig], ScaleEstimate | str]] = {
     'metric': _metric, 'depth_topic': _depth_topic, 'camera_height': _camera_height,
     'manhattan': _manhattan, 'fixed': _fixed}
+
+
+def apply_scale(disparity: np.ndarray, estimate: ScaleEstimate,
+                max_depth_m: float = np.inf) -> np.ndarray:
+    """
+    Return the depth (H, W) float32 of a disparity (H, W), NaN where invalid.
+
+    So is what is farther than ``max_depth_m``, if the unit is the metre.
+    """
+    farthest = max_depth_m if estimate.is_metric else MAX_RELATIVE_DEPTH
+    inverse = np.float32(estimate.scale) * disparity + np.float32(estimate.shift)
+    return to_depth(inverse, farthest)

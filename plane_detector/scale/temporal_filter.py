@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from plane_detector.config import ScaleConfig
-from plane_detector.scale.estimate import RELATIVE, ScaleEstimate
 from plane_detector.scale.methods import METHODS
+from plane_detector.types import RELATIVE, ScaleEstimate
 
 # Methods that estimate in each frame; the results of the others are used unfiltered.
 MEASURED = ('depth_topic', 'camera_height', 'manhattan')

@@ -35,8 +35,7 @@ with quiet_interrupt(), explained_imports():
     from plane_detector.ros.outputs.messages import read_cloud
     from plane_detector.ros.outputs.plane_json import planes_to_json
     from plane_detector.ros.qos import output_profile
-    from plane_detector.scale.estimate import RELATIVE
-    from plane_detector.types import PlaneClass
+    from plane_detector.types import RELATIVE, PlaneClass
 
 _CLASS_NAMES = {int(one): one.readable for one in PlaneClass}
 _CLEAR = '\x1b[2J\x1b[H'

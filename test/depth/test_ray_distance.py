@@ -72,4 +72,3 @@ def test_a_stream_says_it_until_its_settings_are_right(kind):
             found = detector.detect(scene.rgb, camera, given_m)
             remedy = '' if stated == kind else f'set depth.kind to {kind}'
             assert (remedy in found.input_note) and bool(found.input_note) == bool(remedy)
-            assert found.input_note in found.scale_note

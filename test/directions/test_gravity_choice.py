@@ -5,7 +5,7 @@
 import numpy as np
 import pytest
 
-from plane_detector.directions.gravity_choice import choose_gravity
+from plane_detector.directions.finder import choose_gravity
 from plane_detector.directions.vanishing import NO_PAIRS, SceneDirections
 
 NONE = (0.0, 0.0, 0.0)

@@ -19,7 +19,7 @@ def test_the_picture_shows_the_flat_box_and_the_edge_where_they_are():
         x, y, z = np.moveaxis(
             depth_to_points(found.depth_m, robot_view.CAMERA) @ rotation.T + position, -1, 0)
         is_floor = (y < robot_view.EDGE_M - 0.3) & (abs(z) < 0.01) & (abs(x) < 1.6)
-        assert found.ground_pixels.mask[is_floor].mean() > 0.97
+        assert found.ground[is_floor].mean() > 0.97
         picture = robot_view.framed(rgb, found)
         right = picture[:, picture.shape[1] // 2:].reshape(-1, 3)
         for _, colour in robot_view.LEGEND:
@@ -30,4 +30,4 @@ def test_the_picture_shows_the_flat_box_and_the_edge_where_they_are():
     x, y, z = np.moveaxis(
         depth_to_points(found.depth_m, robot_view.CAMERA) @ rotation.T + position, -1, 0)
     top = (abs(x - 0.5) < 0.08) & (abs(y - 2.2) < 0.08) & (abs(z - 0.08) < 0.02)
-    assert found.ground_pixels.obstacles[top].mean() > 0.9
+    assert found.obstacles[top].mean() > 0.9

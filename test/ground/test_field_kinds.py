@@ -11,14 +11,13 @@ import pytest
 
 from plane_detector import Config, PlaneDetector
 from plane_detector.config import DepthConfig, GroundConfig, ScaleConfig
-from plane_detector.directions.gravity_choice import Gravity
 from plane_detector.evaluation.scenes.rendering import rectangle
 from plane_detector.evaluation.scenes.terrain import Course, Kind, View, look, noisy
 from plane_detector.geometry.projection import pixel_rays
 from plane_detector.ground.ground import find_ground
 from plane_detector.ground.obstacles import without_box
 from plane_detector.planes.classification import PlaneClass
-from plane_detector.types import CameraIntrinsics, PlaneSegmentation
+from plane_detector.types import CameraIntrinsics, Gravity, PlaneSegmentation
 
 
 def course(edge_m=4.0, lower_m=0.0, half_width_m=2.2, boxes=(), ceiling_m=None):
@@ -83,11 +82,11 @@ def test_a_round_thing_alone_is_an_obstacle_and_drops_are_silent(radius_m, ahead
     inside = ahead_m**2 - rays * (ahead_m**2 - radius_m**2)
     ball_m = np.where(inside > 0, (ahead_m - np.sqrt(np.maximum(inside, 0))) / rays, np.nan)
     found = detect(view, ball_m, height_m)
-    assert found.ground_pixels.is_known and len(found.drops_m) == 0
+    assert found.ground_result.is_known and len(found.drops_m) == 0
     assert found.obstacles.sum() > 0.98 * np.isfinite(ball_m).sum()
     # A ball alone shows no noise and may be one flat piece: then the floor is uncertain.
-    assert 'seen' in found.drop_note or 'may be' in found.drop_note
-    heights_m = found.heights_m[np.isfinite(ball_m)]
+    assert 'seen' in found.ground_result.drop_note or 'may be' in found.ground_result.drop_note
+    heights_m = found.ground_result.heights_m[np.isfinite(ball_m)]
     assert np.isnan(heights_m).all() if not height_m else abs(heights_m.mean() - 0.6) < 0.05
 
 
@@ -107,7 +106,7 @@ def test_drops_are_found_however_the_camera_is_turned(height_m, pitch_deg, edge_
     assert abs(drops_m[:, 1] - edge_m).max() < 0.05
     edge = view.points_m[is_floor & (abs(view.points_m[..., 1] - edge_m) < 0.03)]
     assert np.ptp(drops_m[:, 0]) > 0.85 * np.ptp(edge[:, 0])
-    assert np.median(found.drop_depths_m) == pytest.approx(lower_m, abs=0.02)
+    assert np.median(found.ground_result.drop_depths_m) == pytest.approx(lower_m, abs=0.02)
 
 
 # 4. Range is no edge.
@@ -125,8 +124,9 @@ def test_the_range_of_a_sensor_is_no_edge(limit_m, is_range, height_m, pitch_deg
     detectors = detector(), detector(max_range=limit_m)
     for _ in range(3):
         unknown, stated = (see(one, view, depth_m) for one in detectors)
-        assert len(unknown.drops_m) == 0 and 'depth.max_range' in unknown.drop_note
-        assert len(stated.drops_m) == 0 and not stated.drop_note and not stated.edge_note
+        assert len(unknown.drops_m) == 0 and 'depth.max_range' in unknown.ground_result.drop_note
+        assert len(stated.drops_m) == 0
+        assert not stated.ground_result.drop_note and not stated.ground_result.edge_note
 
 
 def with_noise(view, kind, rng):
@@ -183,12 +183,12 @@ def test_an_edge_with_nothing_behind_is_a_drop_or_unknown(sensor, height_m, pitc
     for found in answers:
         drops_m = view.in_world(found.drops_m)
         assert (abs(drops_m[:, 1] - edge_m) < 0.2).all()
-        if found is not single or not found.drop_note:
+        if found is not single or not found.ground_result.drop_note:
             counts = np.histogram(drops_m[:, 0], bins=15, range=(left, right))[0]
-            assert (counts > 0).mean() > 0.85 and not found.drop_note
+            assert (counts > 0).mean() > 0.85 and not found.ground_result.drop_note
     # A reset forgets what was seen, and so does another camera.
     stream.reset()
-    assert ask(stream, view).drop_note == single.drop_note
+    assert ask(stream, view).ground_result.drop_note == single.ground_result.drop_note
 
 
 @pytest.mark.parametrize('roll_deg', [0, 90, 180])
@@ -216,8 +216,8 @@ def test_drops_are_silent_where_nothing_or_nonsense_is_seen(name):
     change, height_m, note = UNSEEN[name]
     view = seen(course(boxes=[(0.3, 2.0, (0.3, 0.3, 0.4))]), 0.6, 20)
     found = detect(view, change(view.depth_m), height_m)
-    assert note in found.drop_note and len(found.drops_m) == 0
-    assert found.ground_pixels.is_known == ('nothing is seen' not in note)
+    assert note in found.ground_result.drop_note and len(found.drops_m) == 0
+    assert found.ground_result.is_known == ('nothing is seen' not in note)
 
 
 @pytest.mark.parametrize('factor', [0.1, 5, 10, 20, 30])
@@ -231,9 +231,10 @@ def test_walls_at_the_height_of_the_floor_are_no_floor(height_m, pitch_deg, roll
              ((-1.2, 2.5, 1.1), (-0.6, 3.2, 0.4), (0.4, 2.2, 0.2), (1.0, 3.0, 0.9))]
     view = seen(course(6.0, boxes=boxes), height_m, pitch_deg, roll_deg, is_half=is_half,
                 noise=0.001)
-    assert not detect(view, height_m=height_m).drop_note
+    assert not detect(view, height_m=height_m).ground_result.drop_note
     found = detect(view, factor * view.depth_m, height_m)
-    assert 'm below the camera, is not seen' in found.drop_note and len(found.drops_m) == 0
+    assert 'm below the camera, is not seen' in found.ground_result.drop_note
+    assert len(found.drops_m) == 0
 
 
 @pytest.mark.parametrize('sides', [(1, 1), (3, 3), (2, 40), (8, 8), (15, 20)])
@@ -242,15 +243,15 @@ def test_a_tiny_image_has_no_ground_and_says_why(sides):
     lens = CameraIntrinsics(10.0, 10.0, width / 2, height / 2, width, height)
     view = SimpleNamespace(lens=lens, down=np.array([0.0, 0.6, 0.8]))
     found = see(detector(0.5), view, np.full(sides, 1.0))
-    assert f'{width} x {height} pixels is too small' in found.drop_note
-    assert not found.ground.any() and not found.ground_pixels.is_known
+    assert f'{width} x {height} pixels is too small' in found.ground_result.drop_note
+    assert not found.ground.any() and not found.ground_result.is_known
 
 
 @pytest.mark.parametrize('height_m', [0.0, 0.6])
 def test_walls_alone_give_no_drop_and_why(height_m):
     view = seen(course(3.0), 0.6, -25)
     found = detect(view, height_m=height_m)
-    assert 'seen' in found.drop_note
+    assert 'seen' in found.ground_result.drop_note
     assert found.obstacles.sum() > 0.99 * np.isfinite(view.depth_m).sum() > 0
 
 
@@ -270,7 +271,7 @@ def test_a_reflecting_floor_is_no_hole(height_m, pitch_deg, roll_deg, patch, cei
     assert mirrors.sum() > 2000
     mirrored_m = view.depth_m * (height_m + ceiling_m) / height_m
     found = detect(view, np.where(mirrors, mirrored_m, view.depth_m))
-    assert len(found.drops_m) == 0 and not found.drop_note
+    assert len(found.drops_m) == 0 and not found.ground_result.drop_note
 
 
 # 7. Bent depth.
@@ -346,7 +347,8 @@ def test_a_thin_leg_and_a_small_box_are_obstacles(noise, is_half):
         thing = ((abs(view.points_m[..., 0] - x) < 0.06) & (abs(view.points_m[..., 1] - 2) < 0.1)
                  & (view.above_m > 0.06) & (view.kinds == Kind.OBSTACLE))
         assert thing.sum() > 20 and found.obstacles[thing].mean() > 0.8
-        assert found.heights_m[thing].max() == pytest.approx(height_m, abs=0.03 + 8 * noise)
+        assert found.ground_result.heights_m[thing].max() == pytest.approx(
+            height_m, abs=0.03 + 8 * noise)
 
 
 # 9. How sure.
@@ -356,9 +358,9 @@ def test_sigma_is_the_spread_of_the_heights(noise):
     found = detect(view)
     for far_m in (1.0, 2.0):
         near = (view.kinds == Kind.FLOOR) & (abs(view.points_m[..., 1] - far_m) < 0.05)
-        spread_m = found.heights_m[near].std()
-        assert np.median(found.height_sigmas_m[near]) == pytest.approx(spread_m, rel=0.5)
-    one, two, three = found.ground_pixels.smallest_obstacles_m
+        result, spread_m = found.ground_result, found.ground_result.heights_m[near].std()
+        assert np.median(result.height_sigmas_m[near]) == pytest.approx(spread_m, rel=0.5)
+    one, two, three = found.ground_result.smallest_obstacles_m
     assert 0.05 == one <= two <= three < 0.12
 
 
@@ -367,7 +369,8 @@ def test_sigma_is_the_spread_of_the_heights(noise):
     (0.9, 180, '0.60 m below the camera, not 0.90 m as stated')])
 def test_a_wrong_height_of_the_camera_is_noticed(stated_m, roll_deg, problem):
     found = detect(seen(course(), 0.6, 20, roll_deg, noise=0.001), height_m=stated_m)
-    assert problem in found.mounting.problem and bool(problem) == bool(found.mounting.problem)
+    said = found.ground_result.mounting.problem
+    assert problem in said and bool(problem) == bool(said)
 
 
 @pytest.mark.parametrize('axis', [(1, 0, 0), (0, 0, 1)])
@@ -376,9 +379,9 @@ def test_a_wrong_tilt_of_the_camera_is_noticed(off_deg, is_wrong, axis):
     view = seen(course(), 0.6, 20, noise=0.001)
     turn, _ = cv2.Rodrigues(np.radians(off_deg) * np.array(axis, float))
     found = detect(view, down=turn @ view.down)
-    assert ('tilted' in found.mounting.problem) == is_wrong
-    assert found.mounting.tilt_deg == pytest.approx(20.0, abs=0.3)
-    assert np.isnan(found.mounting.stated_height_m)
+    assert ('tilted' in found.ground_result.mounting.problem) == is_wrong
+    assert found.ground_result.mounting.tilt_deg == pytest.approx(20.0, abs=0.3)
+    assert np.isnan(found.ground_result.mounting.stated_height_m)
 
 
 def test_what_of_the_robot_itself_is_in_view_is_ignored():
@@ -451,7 +454,7 @@ def test_what_is_lower_than_min_height_is_no_obstacle_and_what_is_higher_is(
     high = is_thing & (view.above_m > min_height + error_m)
     assert low.sum() > 1000 and found.obstacles[low].mean() < 0.005
     assert high.sum() > 300 and found.obstacles[high].mean() > 0.97
-    assert not (abs(found.heights_m[found.obstacles]) <= min_height).any()
+    assert not (abs(found.ground_result.heights_m[found.obstacles]) <= min_height).any()
     # They are no ground for that: the step of the level is higher than max_step.
     level = (view.kinds == Kind.OBSTACLE) & (abs(view.above_m - 0.15) < 0.005)
     assert found.ground[level].mean() < 0.05

@@ -12,10 +12,11 @@ from plane_detector.geometry.rigid_transform import RigidTransform
 from plane_detector.ground.grid import FREE, OCCUPIED, UNKNOWN, level_frame, occupancy_grid
 from plane_detector.pipeline import PlaneDetector
 from plane_detector.types import (
+    METRIC,
     CameraIntrinsics,
     Detection,
     GroundLack,
-    GroundPixels,
+    GroundResult,
     Planes,
 )
 
@@ -88,8 +89,8 @@ def test_the_level_frame_is_under_the_camera(gravity, ahead):
 def test_between_two_pixels_the_ground_goes_on_but_not_over_a_drop(further_m, lower_m, is_free):
     camera = CameraIntrinsics(1.0, 1.0, 0.0, 0.0, 1, 2)
     nothing = np.zeros((2, 1), np.float32)
-    found = Detection(Planes.of([]), np.full((2, 1), -1, np.int32), 0.0, nothing + 1, 'metric',
-                      ground_pixels=GroundPixels(GroundLack.NOTHING, nothing == 0, nothing > 0,
+    found = Detection(Planes.of([]), np.full((2, 1), -1, np.int32), 0.0, nothing + 1, METRIC,
+                      ground_result=GroundResult(GroundLack.NOTHING, nothing == 0, nothing > 0,
                                                  nothing, nothing))
     # The rays are (0, 0, 1) and (0, 1, 1): the second column is the way from pixel to pixel.
     place = RigidTransform(np.array([[0, further_m, 0], [0, 0, 0], [0, -lower_m, 0]]),

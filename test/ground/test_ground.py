@@ -11,7 +11,6 @@ import pytest
 from plane_detector import Config, PlaneDetector
 from plane_detector.config import DepthConfig, GroundConfig, ScaleConfig
 from plane_detector.depth.observation import DepthFunction
-from plane_detector.directions.gravity_choice import Gravity
 from plane_detector.evaluation.benchmark import ground as ground_benchmark
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.evaluation.scenes.rendering import rectangle
@@ -31,7 +30,7 @@ from plane_detector.evaluation.scenes.terrain import (
 from plane_detector.evaluation.scenes.terrain import terrain as random_terrain
 from plane_detector.ground.ground import find_ground
 from plane_detector.planes.classification import PlaneClass
-from plane_detector.types import NO_PLANES, CameraIntrinsics, PlaneSegmentation
+from plane_detector.types import NO_PLANES, CameraIntrinsics, Gravity, PlaneSegmentation
 
 MEASURED = Config(depth=DepthConfig(source='topic'))
 FROM_ABOVE = View(1.0, 25.0, roll_deg=3.0)
@@ -167,7 +166,7 @@ def ground_by_pixels(terrain):
     planes = PlaneSegmentation(found.planes.picked([own]),
                                np.where(found.labels == own, 0, -1), 0.0)
     return find_ground(planes, scene.depth_m, scene.intrinsics,
-                       Gravity(scene.gravity_camera, 1.0, 'measured'), MEASURED).pixels.mask
+                       Gravity(scene.gravity_camera, 1.0, 'measured'), MEASURED).result.mask
 
 
 @pytest.mark.parametrize('slope_deg, is_ground', [(10.0, True), (25.0, False)])
@@ -193,10 +192,10 @@ def test_a_rough_floor_without_a_plane_is_the_own_floor():
         PlaneSegmentation(NO_PLANES, nothing, 0.003), scene.depth_m * (1 + relief),
         scene.intrinsics, Gravity(scene.gravity_camera.copy(), tolerance_deg, 'measured'),
         MEASURED) for tolerance_deg in (1.0, 8.0))
-    assert not coarse.pixels.is_known and 'too coarsely' in coarse.pixels.drop_note
-    assert ground.camera_height_m == pytest.approx(0.8, abs=0.01)
-    assert ground.pixels.mask[terrain.kinds == Kind.FLOOR].mean() > 0.97
-    assert len(ground.pixels.drops_m) > 100 and off_edges_m(ground.pixels, terrain).max() < 0.1
+    assert not coarse.result.is_known and 'too coarsely' in coarse.result.drop_note
+    assert ground.result.camera_height_m == pytest.approx(0.8, abs=0.01)
+    assert ground.result.mask[terrain.kinds == Kind.FLOOR].mean() > 0.97
+    assert len(ground.result.drops_m) > 100 and off_edges_m(ground.result, terrain).max() < 0.1
 
 
 LEGS = GroundConfig(max_step=0.2, min_height=0.2, max_slope=30.0, min_drop=0.25)
@@ -234,7 +233,8 @@ def test_the_own_floor_at_the_head_of_stairs_is_the_highest():
     drops_m = terrain.in_world(found.drops_m)
     seen = abs(drops_m[:, 2]) < 0.05
     assert np.ptp(drops_m[seen, 0]) > 0.8 * np.ptp(first_m[:, 0]) or seen.sum() > 200
-    assert np.median(found.drop_depths_m[seen]) == pytest.approx(terrain.drops_m[0], rel=0.2)
+    assert np.median(found.ground_result.drop_depths_m[seen]) == pytest.approx(
+        terrain.drops_m[0], rel=0.2)
 
 
 def test_stairs_up_are_steps_and_obstacles():
@@ -253,7 +253,7 @@ def test_a_kerb_down_is_a_drop_above_min_drop(height_m, is_drop):
     assert share(found, terrain, Kind.FLOOR) > 0.98
     if is_drop:
         assert off_edges_m(found, terrain).max() < 0.05
-        assert np.median(found.drop_depths_m) == pytest.approx(height_m, abs=0.02)
+        assert np.median(found.ground_result.drop_depths_m) == pytest.approx(height_m, abs=0.02)
     higher = replace(MEASURED, ground=GroundConfig(min_drop=0.5))
     assert len(detect(terrain, config=higher).drops_m) == 0
 
@@ -279,8 +279,8 @@ def test_a_drop_within_the_error_of_depth_is_none():
                                    np.where(own.labels == floor, 0, -1), noise)
         ground = find_ground(planes, scene.depth_m, scene.intrinsics,
                              Gravity(scene.gravity_camera, 1.0, 'measured'), MEASURED)
-        assert not ground.pixels.drop_note
-        counts.append(len(ground.pixels.drops_m))
+        assert not ground.result.drop_note
+        counts.append(len(ground.result.drops_m))
     assert counts[0] > 100 and counts[1] == 0
 
 
@@ -289,7 +289,7 @@ def test_a_hole_and_the_end_of_all_are_drops(make, least):
     terrain = course(make, start_m=1.5, view=replace(FROM_ABOVE, yaw_deg=8.0))
     found = detect(terrain)
     assert len(found.drops_m) > least and off_edges_m(found, terrain).max() < 0.05
-    assert np.isnan(found.drop_depths_m).all() == (make is quay)
+    assert np.isnan(found.ground_result.drop_depths_m).all() == (make is quay)
 
 
 def test_an_edge_behind_a_box_is_not_claimed():
@@ -312,7 +312,7 @@ def test_a_dark_floor_is_no_drop_while_something_is_seen_behind_it():
     # elsewhere, so that it is not the range of the sensor.
     is_far &= terrain.points_m[..., 0] < 0.5
     found = detect(terrain, np.where(is_far, np.nan, terrain.scene.depth_m))
-    assert len(found.drops_m) > 100 and np.isnan(found.drop_depths_m).all()
+    assert len(found.drops_m) > 100 and np.isnan(found.ground_result.drop_depths_m).all()
 
 
 @pytest.mark.parametrize('width_m, height_m', [(0.5, 0.0), (2.6, 1.2)])
@@ -394,7 +394,7 @@ def test_without_a_unit_there_are_classes_but_no_drops():
     relative = replace(MEASURED, depth=DepthConfig(output='relative_disparity'))
     found = PlaneDetector(relative, lambda rgb: 7.0 / scene.depth_m + 1.0).detect(
         scene.rgb, scene.intrinsics, gravity_camera=scene.gravity_camera)
-    assert found.scale_method == 'relative' and found.drop_note
+    assert found.scale.unit_method == 'relative' and found.ground_result.drop_note
     assert len(found.drops_m) == 0 and not found.ground.any()
 
 
@@ -404,8 +404,8 @@ def test_depth_that_is_too_wrong_gives_no_drop_and_why():
              for seed in range(4)]
     assert not any(len(one.drops_m) for one in found)
     # At this noise the floor is .3 m off, the limit, or not seen at all.
-    assert sum(bool(one.drop_note) for one in found) >= 3
-    assert any('m off' in one.drop_note for one in found)
+    assert sum(bool(one.ground_result.drop_note) for one in found) >= 3
+    assert any('m off' in one.ground_result.drop_note for one in found)
 
 
 @pytest.mark.parametrize('is_indoor', [False, True])
@@ -422,7 +422,7 @@ def test_an_indoor_network_under_the_sky_gives_no_drop_and_why(is_indoor):
     found = PlaneDetector(Config(), Network(lambda rgb: depth_m)).detect(
         rgb, scene.intrinsics, gravity_camera=scene.gravity_camera)
     assert (len(found.drops_m) == 0) == is_indoor
-    assert ('indoors' in found.drop_note) == is_indoor
+    assert ('indoors' in found.ground_result.drop_note) == is_indoor
 
 
 def test_without_gravity_nothing_is_claimed():
@@ -430,4 +430,4 @@ def test_without_gravity_nothing_is_claimed():
     flat_picture = np.full_like(scene.rgb, 90)  # no lines
     found = PlaneDetector(MEASURED).detect(flat_picture, scene.intrinsics, scene.depth_m)
     assert not found.ground.any() and not any(found.classes)
-    assert found.drop_note == 'the direction of gravity is not known'
+    assert found.ground_result.drop_note == 'the direction of gravity is not known'

@@ -32,7 +32,7 @@ def detect(scene, rng, stated_m):
                                                    (1.48, True), (1.6, True)])
 def test_a_height_that_is_off_by_more_than_a_tape_measure_is_said(stated_m, is_said):
     """Five per cent are more than anybody measures wrongly; one centimetre is not."""
-    mounting = detect(view(), np.random.default_rng(1), stated_m).mounting
+    mounting = detect(view(), np.random.default_rng(1), stated_m).ground_result.mounting
     assert mounting.height_m == pytest.approx(HEIGHT_M, abs=0.01)
     assert (f'the floor is 1.40 m below the camera, not {stated_m:.2f} m' in mounting.problem
             ) == is_said
@@ -47,8 +47,8 @@ def test_the_stated_error_of_a_height_is_that_of_draws_all_over_the_image(roll_d
     rng, heights_m, sigmas_m = np.random.default_rng(2), [], []
     for _ in range(24):
         found = detect(scene, rng, HEIGHT_M)
-        heights_m.append(found.heights_m)
-        sigmas_m.append(found.height_sigmas_m)
+        heights_m.append(found.ground_result.heights_m)
+        sigmas_m.append(found.ground_result.height_sigmas_m)
     spread_m, stated_m = np.std(heights_m, axis=0), np.mean(sigmas_m, axis=0)
     ray_x, ray_y = ((np.arange(n) - c) / f for n, c, f in (
         (160, CAMERA.cx, CAMERA.fx), (120, CAMERA.cy, CAMERA.fy)))

@@ -16,10 +16,11 @@ from plane_detector.config import NodeConfig
 from plane_detector.geometry.rigid_transform import RigidTransform
 from plane_detector.ros.outputs.frame import DetectedFrame
 from plane_detector.types import (
+    METRIC,
     CameraIntrinsics,
     Detection,
     GroundLack,
-    GroundPixels,
+    GroundResult,
     Plane,
     PlaneClass,
     Planes,
@@ -76,10 +77,10 @@ def plane(index: int) -> Plane:
                  plane_class=CLASSES[index], label=TRACKS[index], merged=MERGED[index])
 
 
-def ground_pixels(labels: np.ndarray) -> GroundPixels:
+def ground_result(labels: np.ndarray) -> GroundResult:
     """Return the floor; heights are numbers of pixels, and all but the ball is an obstacle."""
     numbers = np.arange(labels.size, dtype=np.float32).reshape(labels.shape)
-    return GroundPixels(
+    return GroundResult(
         GroundLack.NOTHING, labels == FLOOR, (labels != FLOOR) & (labels != BALL), numbers,
         numbers / 8,
         drops_m=np.array([[0.5, 1.0, 2.0], [0.6, 1.0, 2.0]]),
@@ -93,9 +94,9 @@ def detection(**changes) -> Detection:
                  0.01, np.eye(4), 0.8, label=5)
     values = {'planes': Planes.of([plane(WALL), plane(FLOOR)]),
               'labels': np.where(is_ball, NOTHING, labels), 'disparity_noise': 0.0,
-              'depth_m': depth_m, 'scale_method': 'metric', 'shapes': (ball,),
+              'depth_m': depth_m, 'scale': METRIC, 'shapes': (ball,),
               'shape_labels': np.where(is_ball, 0, NOTHING),
-              'ground_pixels': ground_pixels(labels), **changes}
+              'ground_result': ground_result(labels), **changes}
     return Detection(**values)
 
 

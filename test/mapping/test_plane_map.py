@@ -25,7 +25,7 @@ from plane_detector.mapping.map_file import SavedMap, write_map
 from plane_detector.mapping.map_plane import as_planes
 from plane_detector.mapping.merging import merge_touched
 from plane_detector.mapping.plane_map import FORGETTING, PlacedDetection, PlaneMap
-from plane_detector.types import CameraIntrinsics, PlaneClass
+from plane_detector.types import METRIC, CameraIntrinsics, PlaneClass
 
 CAMERA = CameraIntrinsics.from_field_of_view(160, 120, 70.0)
 
@@ -225,7 +225,7 @@ def test_pieces_of_one_plane_are_merged_unless_an_image_has_shown_them_apart(
 
 def test_without_metres_there_is_no_map():
     planes, _ = run(1)
-    unscaled = replace(recording().detections[0], scale_method='relative')
+    unscaled = replace(recording().detections[0], scale=replace(METRIC, is_metric=False))
     with pytest.raises(ValueError, match='no map without metres'):
         mapped([unscaled], recording().walked.poses[:1], planes)
     assert planes.images == 1

@@ -9,7 +9,6 @@ import pytest
 
 from plane_detector import Config, PlaneDetector
 from plane_detector.config import DepthConfig
-from plane_detector.directions.gravity_choice import Gravity
 from plane_detector.evaluation.scenes.terrain import View, look, stairs
 from plane_detector.geometry.gravity import unit_direction
 from plane_detector.ground.ground import find_ground
@@ -23,7 +22,7 @@ from plane_detector.planes.classification import (
     lowest_level,
     refine_gravity,
 )
-from plane_detector.types import NO_PLANES, Plane, Planes
+from plane_detector.types import NO_PLANES, Gravity, Plane, Planes
 
 DOWN = np.array([0.0, 1.0, 0.0])
 

@@ -3,6 +3,7 @@
 """What a frame lacks for classes, obstacles and drops: its log, once, its status and its facts."""
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -17,7 +18,7 @@ from plane_detector.ros.diagnostics import (
     Report,
     missing_for_classes,
 )
-from plane_detector.types import GroundLack, GroundPixels, Mounting
+from plane_detector.types import METRIC, Gravity, GroundLack, GroundResult, Mounting
 
 
 def detection(classes, scale='metric', planes=2, gravity_note='', shape=(480, 640), note='',
@@ -26,14 +27,14 @@ def detection(classes, scale='metric', planes=2, gravity_note='', shape=(480, 64
         lack = (GroundLack.GRAVITY if not any(classes) else
                 GroundLack.UNIT if scale == 'relative' else GroundLack.NOTHING)
     return SimpleNamespace(labels=np.zeros(shape), planes=(None,) * planes, classes=classes,
-                           scale_method=scale, scale_note='why', scale_event='',
+                           scale=replace(METRIC, is_metric=scale == 'metric', method=scale,
+                                         note='why'), scale_event='',
                            input_note=input_note,
                            constant_note='', plane_note='',
-                           gravity_source='none', gravity_note=gravity_note,
-                           gravity_probability=probability,
-                           camera_height_m=1.25, tilt_deg=math.nan, drops_m=(),
-                           ground_pixels=GroundPixels(lack, drop_note=note), drop_note=note,
-                           shapes=(), shape_note='', mounting=mounting,
+                           gravity=Gravity(None, 0.0, 'none', gravity_note, probability),
+                           camera_height_m=1.25, tilt_deg=math.nan,
+                           ground_result=GroundResult(lack, drop_note=note, mounting=mounting),
+                           shapes=(), shape_note='',
                            disparity_noise=0.002, systematic_noise=0.001)
 
 
@@ -54,7 +55,7 @@ def detection(classes, scale='metric', planes=2, gravity_note='', shape=(480, 64
     (detection((), 'relative', planes=0, lack=GroundLack.UNIT, note='the unit is not known'),
      (POINTS_WITHOUT_FLOOR,), 'silent: the unit is not known'),
     (detection((1, 0), 'relative', note='the unit of depth is not known'),
-     (POINTS_WITHOUT_FLOOR,), 'unit of depth is not known (why)')])
+     (POINTS_WITHOUT_FLOOR,), 'unit of depth is not known (relative, unit unknown: why)')])
 def test_gaps(found, wanted, expected):
     gap = missing_for_classes(found, wanted)
     assert expected in gap

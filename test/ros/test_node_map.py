@@ -25,7 +25,7 @@ from plane_detector.evaluation.scenes.walks import walk, with_errors
 from plane_detector.geometry.rigid_transform import RigidTransform
 from plane_detector.mapping import plane_map
 from plane_detector.ros.inputs.transforms import FrameTransforms, TransformBuffer
-from plane_detector.ros.map_interface import file_of
+from plane_detector.ros.live_map import file_of
 from plane_detector.types import CameraIntrinsics
 
 ROOM = small_room()
@@ -220,7 +220,7 @@ def test_saved_is_what_is_shown(robot, tmp_path):
     rows = {row['label']: row for row in cloud_array(robot.received['map'][-1])[0]}
     saved = {row['label']: row for row in json.loads(
         (tmp_path / 'map.json').read_text())['planes']}
-    assert len(odometry.node._live_map._map.planes) > len(saved)
+    assert len(odometry.node._map._map.planes) > len(saved)
     assert saved.keys() == rows.keys()
     for label, row in rows.items():
         assert saved[label]['d'] == pytest.approx(row['d'], abs=1e-5)

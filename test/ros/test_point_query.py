@@ -12,7 +12,7 @@ from plane_detector.config import NodeConfig
 from plane_detector.geometry.rigid_transform import RigidTransform
 from plane_detector.ros.outputs.topics import DetectedFrame
 from plane_detector.ros.point_query import plane_at, point_in_camera
-from plane_detector.types import Detection, Plane, Planes
+from plane_detector.types import METRIC, Detection, Plane, Planes
 
 WALL = Plane(np.array([0.0, 0.0, -1.0]), 2.0, np.array([0.1, 0.0, 2.0]), 10, 0.0, 1.0,
              np.eye(4), 1.0)
@@ -21,7 +21,7 @@ TO_MAP = RigidTransform(np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]), np.arra
 
 def result_of(labels, to_target=None):
     found = Detection(Planes.of([WALL]), labels, 0.0, np.full(labels.shape, 2.0, np.float32),
-                      'metric')
+                      METRIC)
     return DetectedFrame(found, CAMERA, to_target, header=header(1.0),
                          rgb=np.zeros((*labels.shape, 3), np.uint8),
                          settings=NodeConfig(target_frame='map' if to_target else ''))

@@ -7,9 +7,9 @@ import pytest
 
 from plane_detector.scale import shift_posterior
 from plane_detector.scale.disparity_planes import DisparityPlanes
-from plane_detector.scale.estimate import ScaleEstimate
 from plane_detector.scale.floor import fit_floor
 from plane_detector.scale.shift_posterior import ShiftEstimate
+from plane_detector.types import ScaleEstimate
 
 SCALE, TAU, HEIGHT_M = 0.4, 0.7, 1.5
 TOLERANCE_DEG = 4.0  # two standard deviations

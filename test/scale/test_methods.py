@@ -13,8 +13,7 @@ from plane_detector.config import ScaleConfig
 from plane_detector.evaluation.scenes import rooms as scenes
 from plane_detector.geometry.disparity import to_disparity
 from plane_detector.planes.ray_planes import ray_planes
-from plane_detector.scale.estimate import apply_scale
-from plane_detector.scale.methods import ScaleEvidence, estimate_scale
+from plane_detector.scale.methods import ScaleEvidence, apply_scale, estimate_scale
 
 
 def upright(scene, tolerance_deg=1.0):

@@ -33,7 +33,7 @@ def true_normal_error_deg(found, scene):
 def test_angles_are_true_and_the_unit_is_unknown(factor):
     scene = room()
     found = detected(scene, factor=factor, gravity_camera=scene.gravity_camera)
-    assert found.scale_method == 'relative' and 'relative' in found.scale_note
+    assert found.scale.unit_method == 'relative' and 'relative' in str(found.scale)
     assert len(found.planes) >= 3
     assert true_normal_error_deg(found, scene) < 0.5
     assert PlaneClass.FLOOR in found.classes and PlaneClass.WALL in found.classes
@@ -44,14 +44,14 @@ def test_a_height_gives_metres():
     down = scene.gravity_camera
     height_m = scene.planes[scene.planes[:, :3] @ down < -0.99, 3].max()
     found = detected(scene, ScaleConfig(camera_height=height_m), gravity_camera=down)
-    assert found.scale_method == 'camera_height'
+    assert found.scale.unit_method == 'camera_height'
     np.testing.assert_allclose(found.depth_m, scene.depth_m, rtol=0.01)
 
 
 def test_measured_depth_gives_metres_without_a_shift():
     scene = room()
     found = detected(scene, depth_m=sparse(scene.depth_m, 200))
-    assert found.scale_method == 'depth_topic'
+    assert found.scale.unit_method == 'depth_topic'
     np.testing.assert_allclose(found.depth_m, scene.depth_m, rtol=0.01)
     # All at one depth: a shift could not be told from the scale.
     wall_m = np.full((60, 80), 2.0, np.float32)

@@ -7,8 +7,8 @@ from dataclasses import replace
 import pytest
 
 from plane_detector.config import ScaleConfig
-from plane_detector.scale.estimate import ScaleEstimate
 from plane_detector.scale.temporal_filter import update_scale
+from plane_detector.types import ScaleEstimate
 
 CONFIG = ScaleConfig(smoothing=0.5, max_jump=0.2, reset_after=3, hold_frames=4)
 FLOOR = ScaleEstimate(0.5, 0.1, 'camera_height', True, True, 0.01, 'floor 1 m below',

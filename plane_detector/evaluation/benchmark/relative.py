@@ -38,11 +38,10 @@ from plane_detector.evaluation.scenes.textures import textured
 from plane_detector.pipeline import PlaneDetector
 from plane_detector.planes.classification import PlaneClass
 from plane_detector.planes.ray_planes import ray_planes
-from plane_detector.scale.estimate import ScaleEstimate
 from plane_detector.scale.methods import ScaleEvidence, estimate_scale
 from plane_detector.segmentation.cells.pixel_regions import PixelRegions
 from plane_detector.segmentation.segment import segment, unitless_noise_floor
-from plane_detector.types import CameraIntrinsics
+from plane_detector.types import CameraIntrinsics, ScaleEstimate
 
 # Of the simulated networks.
 SCALE_RANGE, SHIFT_RANGE_PER_M = (0.2, 5.0), (-0.05, 0.4)
@@ -234,7 +233,7 @@ def report_raw(data: Path) -> None:
         kinds = [PlaneClass(kind).name.lower() for kind in found.classes]
         counts = ', '.join(f'{kinds.count(kind)} {kind}' for kind in dict.fromkeys(kinds))
         rows.append([path.stem, about['network'].split(' (')[0],
-                     f'{found.gravity_probability:.2f}', found.scale_note, counts])
+                     f'{found.gravity.probability:.2f}', found.scale, counts])
     emit('### Raw outputs of networks', table(
         ('picture', 'network', 'probability of the vertical', 'scale', 'classes'), rows))
 

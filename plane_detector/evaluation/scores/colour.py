@@ -75,8 +75,8 @@ class _Key:
 
 def vertical(found: Detection, down: np.ndarray) -> tuple[bool, bool]:
     """Return whether the image gave the direction of gravity, and whether it is wrong."""
-    is_answered = found.gravity_camera is not None
-    return is_answered, bool(is_answered and angle_deg(found.gravity_camera, down) > WRONG_DEG)
+    answer = found.gravity.gravity_camera
+    return answer is not None, bool(answer is not None and angle_deg(answer, down) > WRONG_DEG)
 
 
 def normals_deg(found: Detection, depth_m: np.ndarray, intrinsics: CameraIntrinsics) -> float:
@@ -314,7 +314,7 @@ def raw_outputs(draw: Draw) -> Values:
         ).detect(rgb, camera)
         values['raw outputs: share of the image in planes'].append((found.labels >= 0).mean())
         if path.stem in UPRIGHT:
-            down = found.gravity_camera
+            down = found.gravity.gravity_camera
             values['raw outputs: vertical answered'].append(down is not None)
             values['raw outputs: vertical far from down in the picture'].append(
                 down is not None and angle_deg(down, np.array([0.0, 1.0, 0.0])) > UPRIGHT_DEG)

@@ -127,7 +127,7 @@ FIELD: dict[str, tuple[str, float, float, Callable[..., bool]]] = {
     'a reflecting floor': ('floor_reflects_ceiling', 0, 1, lambda found, _: (
         not len(found.drops_m))),
     **{f'a unit that is wrong by {factor:g}': (
-        'wrong_unit', 0.6, factor, lambda found, _: bool(found.drop_note))
+        'wrong_unit', 0.6, factor, lambda found, _: bool(found.ground_result.drop_note))
        for factor in (10, 1000, 0)},
     'depth bent by 8 %': ('depth_bent_8_percent', 0, 1, lambda found, masks: (
         found.obstacles[masks['floor']].mean() < 0.01)),

@@ -57,7 +57,7 @@ def points_to_msg(frame: DetectedFrame) -> PointCloud2:
 
 def points_without_floor_to_msg(frame: DetectedFrame) -> PointCloud2 | None:
     """Return the points of obstacles with height and sigma; None without gravity or the unit."""
-    found = frame.detection.ground_pixels
+    found = frame.detection.ground_result
     if not found.is_known:
         return None
     return _kept_to_msg(frame, OBSTACLE_DTYPE, found.obstacles,
@@ -66,13 +66,13 @@ def points_without_floor_to_msg(frame: DetectedFrame) -> PointCloud2 | None:
 
 def ground_to_msg(frame: DetectedFrame) -> PointCloud2 | None:
     """Return the points of the ground; None while gravity or the unit is not known."""
-    found = frame.detection.ground_pixels
+    found = frame.detection.ground_result
     return _kept_to_msg(frame, XYZ_DTYPE, found.mask) if found.is_known else None
 
 
 def drops_to_msg(frame: DetectedFrame) -> PointCloud2 | None:
     """Return points along the edges and how deep each drop is; None if none can be detected."""
-    found = frame.detection
+    found = frame.detection.ground_result
     if found.drop_note:
         return None
     table = np.column_stack([frame.placed(found.drops_m), found.drop_depths_m]).astype('<f4')

@@ -28,12 +28,13 @@ def grid_to_msg(frame: DetectedFrame) -> OccupancyGrid | None:
     the cells in each image; else in ``base_frame``, or in the level frame under the camera, which
     its origin states.
     """
-    found, resolution_m = frame.detection, frame.config.grid.resolution
-    if not found.ground_pixels.is_known or found.drop_note:
+    found, ground = frame.detection, frame.detection.ground_result
+    resolution_m = frame.config.grid.resolution
+    if not ground.is_known or ground.drop_note:
         return None
     header, to_grid, origin = frame.header, frame.to_base, RigidTransform.identity()
     if to_grid is None:
-        to_grid = level_frame(found.gravity_camera, found.camera_height_m)
+        to_grid = level_frame(found.gravity.gravity_camera, found.camera_height_m)
         origin = to_grid.inverse()
     else:
         header = Header(stamp=header.stamp, frame_id=frame.settings.base_frame)

@@ -16,7 +16,6 @@ from visualization_msgs.msg import Marker, MarkerArray
 from plane_detector.geometry.projection import pixel_rays
 from plane_detector.ros.outputs import messages
 from plane_detector.ros.outputs.frame import DetectedFrame
-from plane_detector.scale.estimate import RELATIVE
 from plane_detector.types import Plane, Shape, ShapeType
 
 # As a share of the distance from the camera, like the sizes of captions.
@@ -174,7 +173,7 @@ def _captions(frame: DetectedFrame) -> tuple[list[str], list[float], np.ndarray]
     where the camera is.
     """
     planes, camera = frame.detection.planes, frame.intrinsics
-    unit = '' if frame.detection.scale_method == RELATIVE else ' m'
+    unit = ' m' if frame.detection.scale.is_metric else ''
     texts = [f'{plane_name(plane)}, d {plane.offset_m:.2f}{unit}' for plane in planes]
     middles_m = planes.centroids_m.copy()
     for k, label in enumerate(planes.labels.tolist()):

@@ -42,7 +42,6 @@ from plane_detector.ros.outputs.map_messages import (
 )
 from plane_detector.ros.outputs.markers import markers_to_msg
 from plane_detector.ros.outputs.plane_json import planes_to_json
-from plane_detector.scale.estimate import RELATIVE
 
 
 class Output(NamedTuple):
@@ -60,7 +59,7 @@ class Output(NamedTuple):
 
 def frame_to_json(frame: DetectedFrame) -> str:
     """Return the planes of a frame as one line of JSON."""
-    return planes_to_json(planes_to_msg(frame), frame.detection.scale_method != RELATIVE)
+    return planes_to_json(planes_to_msg(frame), frame.detection.scale.is_metric)
 
 
 OUTPUTS: dict[str, Output] = {

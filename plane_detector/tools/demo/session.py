@@ -25,9 +25,9 @@ from plane_detector.ros.calibration import camera_info_to_msg
 from plane_detector.ros.detector_node import PlaneDetectorNode
 from plane_detector.ros.inputs.depth_decoding import depth_from_msg
 from plane_detector.ros.outputs.messages import depth_to_msg, read_cloud, rgb_to_msg
-from plane_detector.scale.estimate import RELATIVE
 from plane_detector.tools.demo.photographs import Photograph
 from plane_detector.tools.private_domain import private_domain
+from plane_detector.types import RELATIVE
 
 _INPUTS = {'camera_info': CameraInfo, 'depth': Image, 'image': Image}
 _OUTPUTS = {'points': PointCloud2, 'planes': PointCloud2, 'depth': Image}

@@ -95,11 +95,11 @@ class Tally:
         self.processed += 1
         self.planes += len(detection.planes)
         scale = _scale_of(config.depth.source, detection)
-        self.scales[detection.scale_method].append(scale)
+        self.scales[detection.scale.unit_method].append(scale)
         if gap := missing_for_classes(detection, outputs):
             self.gaps[gap.partition(':')[0]].append(gap)
-        return {'scale': scale, 'gravity': detection.gravity_source,
-                'gravity_note': detection.gravity_note}
+        return {'scale': scale, 'gravity': detection.gravity.source,
+                'gravity_note': detection.gravity.note}
 
     def add_dropped(self, count: int) -> None:
         """Count images without a partner before a frame."""
@@ -154,10 +154,9 @@ def _scale_of(depth_source: str, detection: Detection) -> str:
     """Return the source of the unit of depth, with the note of the method."""
     if depth_source != 'model':
         return 'metres, as measured'
-    method, note = detection.scale_method, detection.scale_note
-    if not note or note.startswith(method):
-        return note or method
-    return f'{method}, {note}'
+    method = detection.scale.unit_method
+    note = '; '.join(filter(None, (str(detection.scale), detection.input_note)))
+    return note if note.startswith(method) else f'{method}, {note}'
 
 
 def diagnostics_msg(header: Header, index: int, tally: Tally, facts: Mapping[str, str],

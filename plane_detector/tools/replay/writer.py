@@ -41,7 +41,6 @@ from plane_detector.planes.plane_table import PLANE_DTYPE
 from plane_detector.ros.inputs.synchronizer import stamp_text
 from plane_detector.ros.outputs.clouds import SHAPE_DTYPE
 from plane_detector.ros.outputs.frame import DetectedFrame
-from plane_detector.scale.estimate import RELATIVE
 from plane_detector.tools.files import csv_head, csv_row, depth_panel, write_ply
 from plane_detector.tools.replay.bag_reader import BagError, BagReader, Recorded
 
@@ -268,7 +267,7 @@ class ReplayFiles:
             with _whole(self._ply / f'{index:06d}.ply') as path:
                 tinted = drawing.tint(result.rgb, result.labels, result.colours)
                 write_ply(path, points_m, tinted, result.labels,
-                          in_metres=result.detection.scale_method != RELATIVE)
+                          in_metres=result.detection.scale.is_metric)
         for name, (_, file) in self._tables.items():
             if name not in messages:  # its pose is not known
                 continue
@@ -288,7 +287,7 @@ def _whole(path: Path) -> Iterator[Path]:
 def _figure(result: DetectedFrame) -> np.ndarray:
     """Return image, depth and planes side by side."""
     detection = result.detection
-    unit = 'units' if detection.scale_method == RELATIVE else 'm'
+    unit = 'm' if detection.scale.is_metric else 'units'
     return drawing.figure([
         (f'image of {stamp_text(result)}', result.rgb),
         depth_panel('depth', detection.depth_m, unit),

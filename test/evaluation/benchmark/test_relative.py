@@ -11,7 +11,7 @@ from plane_detector.evaluation.benchmark.relative import angles, network_view, w
 from plane_detector.evaluation.datasets import frames
 from plane_detector.evaluation.reference_planes import true_floor
 from plane_detector.evaluation.scenes.rooms import random_room
-from plane_detector.scale.estimate import apply_scale
+from plane_detector.scale.methods import apply_scale
 
 
 def test_the_errors_have_the_stated_size():

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from visualization_msgs.msg import Marker
 
 from plane_detector.ros.outputs.topics import OUTPUTS
-from plane_detector.types import NO_PLANES, PlaneClass, Planes, ShapeType
+from plane_detector.types import METRIC, NO_PLANES, PlaneClass, Planes, ShapeType
 
 BOTH_FRAMES = pytest.mark.parametrize('to_target', [None, scene.TARGET], ids=['camera', 'target'])
 
@@ -108,7 +108,7 @@ def test_other_planes_have_captions_too():
     planes = [replace(scene.plane(index), plane_class=kind, area_m2=0.001) for index, kind in (
         (scene.WALL, PlaneClass.OTHER), (scene.FLOOR, PlaneClass.UNKNOWN))]
     captions = shown('caption', found=scene.detection(planes=Planes.of(planes),
-                                                      scale_method='relative'))
+                                                      scale=replace(METRIC, is_metric=False)))
     assert [one.text for one in captions.values()] == ['7 other, d 3.00', '3 unknown, d 0.60']
     assert all(one.scale.z < 0.01 for one in captions.values()), 'small planes, small captions'
 

@@ -22,10 +22,12 @@ from plane_detector.ros.outputs.messages import cloud_msg, read_cloud
 from plane_detector.ros.outputs.plane_json import planes_to_json
 from plane_detector.ros.outputs.topics import OUTPUTS
 from plane_detector.types import (
+    METRIC,
     NO_PLANES,
     Detection,
+    Gravity,
     GroundLack,
-    GroundPixels,
+    GroundResult,
     PlaneClass,
     ShapeType,
 )
@@ -104,7 +106,7 @@ def test_points_without_floor(to_target, step):
 def test_obstacles_need_no_plane_but_gravity_and_the_unit():
     alone = scene.detection(planes=NO_PLANES)
     assert make('points_without_floor', found=alone).width > 0
-    unknown = replace(alone, ground_pixels=GroundPixels(GroundLack.UNIT))
+    unknown = replace(alone, ground_result=GroundResult(GroundLack.UNIT))
     assert make('points_without_floor', found=unknown) is None
     assert make('ground', found=unknown) is None
 
@@ -121,16 +123,17 @@ def test_ground_and_drops(to_target):
     assert has_frame_of(msg, to_target) and table.dtype.names == ('x', 'y', 'z', 'drop')
     np.testing.assert_allclose(xyz(table), moved(scene.detection().drops_m, to_target), atol=1e-6)
     np.testing.assert_array_equal(table['drop'], np.float32([0.25, np.nan]))
-    silent = replace(scene.detection().ground_pixels, drop_note='why')
-    assert make('drops', found=scene.detection(ground_pixels=silent)) is None
+    silent = replace(scene.detection().ground_result, drop_note='why')
+    assert make('drops', found=scene.detection(ground_result=silent)) is None
 
 
 def test_the_grid_is_level_below_the_camera_or_in_a_frame_of_the_robot():
     """A floor .6 m below a level camera, before a wall and a pole."""
     gravity = np.array([0.0, 1.0, 0.0])
-    pixels = scene.detection().ground_pixels
-    found = scene.detection(gravity_camera=gravity, camera_height_m=0.6, ground_pixels=replace(
-        pixels, heights_m=np.where(pixels.obstacles, np.float32(0.5), np.float32(0))))
+    pixels = scene.detection().ground_result
+    found = scene.detection(gravity=Gravity(gravity, 1.0, 'imu'), ground_result=replace(
+        pixels, camera_height_m=0.6,
+        heights_m=np.where(pixels.obstacles, np.float32(0.5), np.float32(0))))
     msg = make('grid', found=found)
     cells = np.reshape(msg.data, (msg.info.height, msg.info.width))
     assert msg.header.frame_id == FRAME_ID and msg.info.resolution == pytest.approx(0.05)
@@ -169,9 +172,9 @@ def test_the_grid_is_level_below_the_camera_or_in_a_frame_of_the_robot():
     # An optical frame as target, its z ahead, has no grid from above: it stays in the base frame.
     lying = replace(in_odom, pose=RigidTransform(np.eye(3), np.array([0.1, 0.0, 0.0])))
     assert grid_to_msg(lying).header.frame_id == 'base_footprint'
-    silent = replace(found.ground_pixels, drop_note='why')
-    assert make('grid', found=replace(found, ground_pixels=silent)) is None
-    assert make('grid', found=replace(found, ground_pixels=GroundPixels(GroundLack.UNIT))) is None
+    silent = replace(found.ground_result, drop_note='why')
+    assert make('grid', found=replace(found, ground_result=silent)) is None
+    assert make('grid', found=replace(found, ground_result=GroundResult(GroundLack.UNIT))) is None
 
 
 @BOTH_FRAMES
@@ -321,7 +324,7 @@ def test_the_pixels_of_each_shape_have_its_label():
 
 def test_without_a_plane_the_clouds_are_empty_and_have_their_fields():
     depth_m, labels = scene.depth_and_labels()
-    nothing = Detection(NO_PLANES, np.full_like(labels, -1), 0.0, depth_m, 'metric')
+    nothing = Detection(NO_PLANES, np.full_like(labels, -1), 0.0, depth_m, METRIC)
     for name in ('planes', 'boundaries', 'shapes'):
         msg = make(name, found=nothing)
         assert (msg.height, msg.width, len(msg.data)) == (1, 0, 0)
@@ -334,7 +337,7 @@ def test_without_a_plane_the_clouds_are_empty_and_have_their_fields():
 def test_the_units_of_json_are_null_without_metres():
     for method, length, area in (('metric', 'm', 'm^2'), ('relative', None, None)):
         units = json.loads(make('planes_json', found=scene.detection(
-            scale_method=method)).data)['units']
+            scale=replace(METRIC, is_metric=method == 'metric'))).data)['units']
         assert {units[name] for name in ('d', 'centroid', 'width', 'height', 'rms')} == {length}
         assert (units['area'], units['num_inliers']) == (area, 'px')
 
