@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Straight line segments of an image, by OpenCV's LSD (von Gioi et al. 2012)."""
+"""The longest straight line segments of an image, as rays and tangents."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from functools import cached_property
 import cv2
 import numpy as np
 
+from plane_detector.directions.lsd import find_segments
 from plane_detector.types import CameraIntrinsics
 
 # chosen: half of VGA takes a quarter of the time and keeps all useful lines; the line of a
@@ -81,8 +82,7 @@ def detect_line_segments(grey: np.ndarray, intrinsics: CameraIntrinsics,
     """
     width, height = intrinsics.width, intrinsics.height
     reduction = max(1.0, width / DETECTION_WIDTH_PX)
-    found = cv2.createLineSegmentDetector().detect(grey)[0]
-    ends_px = np.zeros((0, 2, 2)) if found is None else found.reshape(-1, 2, 2).astype(float)
+    ends_px = find_segments(grey).reshape(-1, 2, 2)
     # Pixel centres: the middle of pixel 0 of the reduced image is at (reduction - 1) / 2.
     ends_px = (ends_px + 0.5) * [width / grey.shape[1], height / grey.shape[0]] - 0.5
     lengths_px = np.linalg.norm(ends_px[:, 1] - ends_px[:, 0], axis=1)

@@ -129,8 +129,8 @@ SHARES = np.array([[1 - LOOKING_DOWN - 3 * TURNED], *[[TURNED]] * 3])
 PEAKS = np.vstack([
     SHARES / (2 * math.pi * math.radians(HELD_DEG[0]) * math.radians(HELD_DEG[1])),
     [[LOOKING_DOWN / (2 * math.pi * math.radians(DOWN_DEG) ** 2)]]])
-# Keeps logarithms finite.
-TINY = 1e-30
+# Keeps logarithms finite; and the squared deviation beyond which a bell, 1e-13 of its peak, is 0.
+TINY, FAR_SQUARE = 1e-30, 60.0
 # A vertical of the views before has this power of the density of mountings in each further view: a
 # camera that turns keeps its tilt against the vertical, and not against the other axes. tuned: by
 # colour, three walks in four mountings, answered upright and wrong turned (TURNED .07): at 0
@@ -139,6 +139,10 @@ STEADY = 0.25
 # Keeps the direction of a line defined where it passes through the vanishing point. chosen: the
 # square of two degrees.
 MIN_IMAGE_LENGTH2 = 1e-3
+# The natural logarithm of 2, and that of 1 to 2 in powers from 0 to 5 within 1e-5: derived, least
+# squares at Chebyshev's points. Votes are known to a few percent.
+LOG_2 = math.log(2)
+LOG = (-1.93675974, 3.51408730, -2.44002976, 1.11609003, -0.28382685, 0.03044900)
 # Modes that are carried to the next image, and the least mass of one. chosen: others hold less
 # than the probability that is asked for leaves.
 MOST_MODES, LEAST_MASS = 6, 0.01
@@ -157,11 +161,28 @@ class Modes:
 
     def density(self, downs: np.ndarray, error_rad: float) -> np.ndarray:
         """Return the density (C,) at verticals (C, 3), 1/sr, blurred by an error."""
-        wide, off = self.covariances + error_rad**2 * np.eye(3), downs - self.downs[:, None]
-        squares = (off @ np.linalg.inv(wide) * off).sum(axis=2)
+        wide = self.covariances + error_rad**2 * np.eye(3)
         along = np.einsum('ki,kij,kj->k', self.downs, wide, self.downs)
         areas = 2 * np.pi * np.sqrt(np.linalg.det(wide) / along)
-        return ((self.unsided / areas)[:, None] * np.exp(-0.5 * squares)).sum(axis=0)
+        return _sum_of_bells(np.ascontiguousarray(downs), self.downs, np.linalg.inv(wide),
+                             self.unsided / areas)
+
+
+@kernel('float64[::1](float64[:, ::1], float64[:, ::1], float64[:, :, ::1], float64[::1])')
+def _sum_of_bells(points, means, inverses, peaks):
+    """Return the sum of normal densities at points."""
+    sums = np.zeros(len(points))
+    for k in range(len(means)):
+        xx, yy, zz = inverses[k, 0, 0], inverses[k, 1, 1], inverses[k, 2, 2]
+        xy, xz, yz = inverses[k, 0, 1], inverses[k, 0, 2], inverses[k, 1, 2]
+        for i in range(len(points)):
+            x, y, z = (points[i, 0] - means[k, 0], points[i, 1] - means[k, 1],
+                       points[i, 2] - means[k, 2])
+            square = (xx * x * x + yy * y * y + zz * z * z
+                      + 2 * (xy * x * y + xz * x * z + yz * y * z))
+            if square < FAR_SQUARE:
+                sums[i] += peaks[k] * np.exp(-0.5 * square)
+    return sums
 
 
 @dataclass(frozen=True)
@@ -656,64 +677,9 @@ def log_likelihood(bases: np.ndarray, azimuths_rad: np.ndarray, evidence: Eviden
 
     """
     return _log_likelihood(np.ascontiguousarray(bases), np.cos(azimuths_rad),
-                           np.sin(azimuths_rad), evidence.lines,
+                           np.sin(azimuths_rad),
+                           np.ascontiguousarray(evidence.lines.T, np.float32),
                            evidence.normals, error_rad, evidence.normal_rad, evidence.stray_share)
-
-
-@kernel('Tuple((float64[:, ::1], float64[:, ::1]))(float64[:, :, ::1], float64[:, ::1], '
-        'float64[:, ::1], float64[:, ::1], float64[:, ::1], float64, float64, float64)')
-def _log_likelihood(bases, cosines, sines, lines, normals, error_rad, normal_rad,
-                    stray_share):
-    count, azimuths = cosines.shape
-    upright, others = np.zeros((count, azimuths)), np.zeros((count, azimuths))
-    product, level = np.empty(azimuths), np.empty(azimuths)
-    variance = normal_rad * normal_rad + error_rad * error_rad
-    sharp = 1 / variance  # a division takes as long as all else in the loop over azimuths
-    # Densities relative to a uniform one: of six directions and of a circle on the sphere.
-    of_axis = (1 - OTHER_WALLS) * 4 * np.pi / (6 * 2 * np.pi * variance)
-    of_circle = OTHER_WALLS * 4 * np.pi / (2 * np.pi * np.sqrt(2 * np.pi * variance))
-    a = np.empty((3, 3))
-    for v in range(count):
-        for i in range(len(lines)):
-            m, spread = lines[i, 3:6], lines[i, 6] + error_rad * error_rad
-            weight = (1 / stray_share - 1) * np.pi / (3 * np.sqrt(2 * np.pi * spread))
-            for k in range(3):
-                b = bases[v, k]
-                a[k, 0] = lines[i, 0] * b[0] + lines[i, 1] * b[1] + lines[i, 2] * b[2]
-                a[k, 1] = b[0] - m[0] * b[2]
-                a[k, 2] = b[1] - m[1] * b[2]
-            down = _near(a[0, 0], a[0, 1], a[0, 2], spread)
-            (x0, x1, x2), (y0, y1, y2) = (a[1, 0], a[1, 1], a[1, 2]), (a[2, 0], a[2, 1], a[2, 2])
-            for z in range(azimuths):
-                c, s = cosines[v, z], sines[v, z]
-                level[z] = weight * (
-                    _near(c * x0 + s * y0, c * x1 + s * y1, c * x2 + s * y2, spread)
-                    + _near(c * y0 - s * x0, c * y1 - s * x1, c * y2 - s * x2, spread))
-            alone = lines[i, 7] * np.log(1 + weight * down) if down > 0 else 0.0
-            for z in range(azimuths):
-                if level[z] == 0:
-                    upright[v, z] += alone
-                    continue
-                others[v, z] += lines[i, 7] * np.log(1 + level[z])
-                if down > 0:
-                    upright[v, z] += lines[i, 7] * np.log(1 + weight * down / (1 + level[z]))
-        product[:] = 1.0  # of at most 20 factors between 0.3 and 100
-        for i in range(len(normals)):
-            n = normals[i]
-            for k in range(3):
-                b = bases[v, k]
-                a[0, k] = n[0] * b[0] + n[1] * b[1] + n[2] * b[2]
-            square = a[0, 0] * a[0, 0]
-            fixed = STRAY_NORMALS + (1 - STRAY_NORMALS) * (
-                of_axis * _bell((1 - square) * sharp) + of_circle * _bell(square * sharp))
-            for z in range(azimuths):
-                x = cosines[v, z] * a[0, 1] + sines[v, z] * a[0, 2]
-                y = 1 - square - x * x
-                product[z] *= fixed + (1 - STRAY_NORMALS) * of_axis * (
-                    _bell((1 - x * x) * sharp) + _bell((1 - y) * sharp))
-        for z in range(azimuths):
-            others[v, z] += np.log(product[z])
-    return upright, others
 
 
 @kernel('float64(float64)')
@@ -723,7 +689,99 @@ def _bell(square):
     return inside * inside * inside * inside
 
 
-@kernel('float64(float64, float64, float64, float64)')
-def _near(cross, x, y, spread):
-    """Return how near a line points to a direction, 1 exactly, by the image of that direction."""
-    return _bell(cross * cross / ((x * x + y * y + MIN_IMAGE_LENGTH2) * spread))
+@kernel('float32(float32, float32, float32, float32)')
+def _near(cross, x, y, sharp):
+    """
+    Return how near a line points to a direction, 1 exactly, by the image of that direction.
+
+    This is the bell above of cross^2 / (x^2 + y^2) over the variance; sharp is 1 / (9 variance).
+    """
+    inside = max(np.float32(1) - cross * cross * sharp / (
+        x * x + y * y + np.float32(MIN_IMAGE_LENGTH2)), np.float32(0))
+    square = inside * inside
+    return square * square
+
+
+@kernel('float32(float32[::1], float32[::1], float32[::1])')
+def _sum_of_logs(votes, values, fractions):
+    """Return the sum of votes times the logarithms of values above 0, each to 1e-5."""
+    bits, fraction_bits = values.view(np.int32), fractions.view(np.int32)
+    for i in range(len(values)):
+        fraction_bits[i] = bits[i] & np.int32(0x7fffff) | np.int32(0x3f800000)
+    total = np.float32(0)
+    for i in range(len(values)):
+        x, exponent = fractions[i], (bits[i] >> np.int32(23)) - np.int32(127)
+        log = np.float32(exponent) * np.float32(LOG_2) + np.float32(LOG[0]) + x * (
+            np.float32(LOG[1]) + x * (np.float32(LOG[2]) + x * (
+                np.float32(LOG[3]) + x * (np.float32(LOG[4]) + x * np.float32(LOG[5])))))
+        total += votes[i] * log
+    return total
+
+
+@kernel('void(float64[:, ::1], float64[::1], float64[::1], float64[:, ::1], '
+        'UniTuple(float64, 2), float64[::1])')
+def _add_normals(basis, cosines, sines, normals, errors_rad, sums):
+    """Add the log likelihoods (A,) of normals."""
+    variance = errors_rad[0] * errors_rad[0] + errors_rad[1] * errors_rad[1]
+    sharp = 1 / variance  # a division takes as long as all else in the loop over azimuths
+    # Densities relative to a uniform one: of six directions and of a circle on the sphere.
+    of_axis = (1 - OTHER_WALLS) * 4 * np.pi / (6 * 2 * np.pi * variance)
+    of_circle = OTHER_WALLS * 4 * np.pi / (2 * np.pi * np.sqrt(2 * np.pi * variance))
+    product, along = np.ones(len(sums)), np.empty(3)  # of at most 20 factors between 0.3 and 100
+    for i in range(len(normals)):
+        for k in range(3):
+            along[k] = (normals[i, 0] * basis[k, 0] + normals[i, 1] * basis[k, 1]
+                        + normals[i, 2] * basis[k, 2])
+        square = along[0] * along[0]
+        fixed = STRAY_NORMALS + (1 - STRAY_NORMALS) * (
+            of_axis * _bell((1 - square) * sharp) + of_circle * _bell(square * sharp))
+        for z in range(len(sums)):
+            x = cosines[z] * along[1] + sines[z] * along[2]
+            y = 1 - square - x * x
+            product[z] *= fixed + (1 - STRAY_NORMALS) * of_axis * (
+                _bell((1 - x * x) * sharp) + _bell((1 - y) * sharp))
+    for z in range(len(sums)):
+        sums[z] += np.log(product[z])
+
+
+@kernel('Tuple((float64[:, ::1], float64[:, ::1]))(float64[:, :, ::1], float64[:, ::1], '
+        'float64[:, ::1], float32[:, ::1], float64[:, ::1], float64, float64, float64)')
+def _log_likelihood(bases, cosines, sines, lines, normals, error_rad, normal_rad,
+                    stray_share):
+    count, azimuths = cosines.shape
+    upright, others = np.zeros((count, azimuths)), np.zeros((count, azimuths))
+    for v in range(count):
+        _add_normals(bases[v], cosines[v], sines[v], normals, (error_rad, normal_rad), others[v])
+    if not lines.shape[1]:
+        return upright, others
+    # In loops over lines, so that eight or more are computed at once. Of each line: the density
+    # of one that points to the vertical, the weight of a direction, and 1 / (9 variance); the
+    # numbers of _near for the three directions of a basis; and what the sums of logs take.
+    line = np.empty((3, lines.shape[1]), np.float32)
+    near, logs = np.empty((9, lines.shape[1]), np.float32), np.empty_like(line)
+    for i in range(lines.shape[1]):
+        spread = lines[6, i] + error_rad * error_rad
+        line[1, i] = (1 / stray_share - 1) * np.pi / (3 * np.sqrt(2 * np.pi * spread))
+        line[2, i] = 1 / (MOST_VARIANCES * spread)
+    for v in range(count):
+        for k in range(3):
+            x, y, z = (np.float32(bases[v, k, 0]), np.float32(bases[v, k, 1]),
+                       np.float32(bases[v, k, 2]))
+            for i in range(lines.shape[1]):
+                near[k, i] = lines[0, i] * x + lines[1, i] * y + lines[2, i] * z
+                near[k + 3, i] = x - lines[3, i] * z
+                near[k + 6, i] = y - lines[4, i] * z
+        for i in range(lines.shape[1]):
+            line[0, i] = line[1, i] * _near(near[0, i], near[3, i], near[6, i], line[2, i])
+        for azimuth in range(azimuths):
+            c, s = np.float32(cosines[v, azimuth]), np.float32(sines[v, azimuth])
+            for i in range(lines.shape[1]):
+                level = np.float32(1) + line[1, i] * (
+                    _near(c * near[1, i] + s * near[2, i], c * near[4, i] + s * near[5, i],
+                          c * near[7, i] + s * near[8, i], line[2, i])
+                    + _near(c * near[2, i] - s * near[1, i], c * near[5, i] - s * near[4, i],
+                            c * near[8, i] - s * near[7, i], line[2, i]))
+                logs[0, i], logs[1, i] = level, np.float32(1) + line[0, i] / level
+            others[v, azimuth] += _sum_of_logs(lines[7], logs[0], logs[2])
+            upright[v, azimuth] = _sum_of_logs(lines[7], logs[1], logs[2])
+    return upright, others

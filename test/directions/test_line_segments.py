@@ -11,7 +11,10 @@ from plane_detector.directions.line_segments import (
     reduced_grey,
     segments_from_pixels,
 )
+from plane_detector.directions.lsd import find_segments
 from plane_detector.directions.posterior import surface_normals
+from plane_detector.evaluation.scenes import rooms
+from plane_detector.evaluation.scenes.textures import textured
 from plane_detector.types import CameraIntrinsics
 
 CAMERA = CameraIntrinsics(500.0, 500.0, 319.5, 239.5, 640, 480)
@@ -85,3 +88,44 @@ def test_an_image_of_a_few_rows_or_columns_gives_no_error(width, height, normals
     rgb = np.full((height, width, 3), 90, np.uint8)
     assert len(found_in(rgb, camera)) == 0
     assert len(surface_normals(np.ones((height, width), np.float32), camera)) == normals
+
+
+@pytest.mark.parametrize('seed', [300, 301, 302])
+def test_long_segments_are_those_of_opencv(seed):
+    grey = reduced_grey(textured(rooms.random_room, seed).rgb)
+    own = find_segments(grey)
+    other = cv2.createLineSegmentDetector().detect(grey)[0].reshape(-1, 4)
+    for first, second in ((own, other), (other, own)):
+        long = first[np.hypot(*(first[:, 2:] - first[:, :2]).T) > 16]
+        off_px = np.abs(long[:, None] - second).max(axis=2).min(axis=1)
+        assert len(long) > 20
+        assert np.mean(off_px < 1.5) > 0.95
+
+
+@pytest.mark.parametrize('turn_deg', range(0, 360, 24))
+def test_both_ends_of_a_bar_are_found_at_any_angle(turn_deg):
+    turn = np.radians(turn_deg)
+    along, across = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+    corners = [[160, 120] + x * along + y * across for x, y in (
+        (-80, -20), (80, -20), (80, 20), (-80, 20))]
+    grey = np.full((240, 320), 60, np.uint8)
+    cv2.fillConvexPoly(grey, np.rint(16 * np.array(corners)).astype(np.int32), 190, cv2.LINE_AA, 4)
+    found = find_segments(grey).reshape(-1, 2, 2) - [160, 120]
+    # Each long side once, from one end to the other: bright on its left, so against each other.
+    for side, sign in ((20, 1), (-20, -1)):
+        ends = sign * np.array([[-80, 80], [0, 0]]).T @ [along, across] + side * across
+        off_px = np.linalg.norm(found - ends, axis=2).max(axis=1)
+        assert np.count_nonzero(off_px < 3) == 1
+
+
+def test_noise_has_no_long_segments():
+    grey = np.random.default_rng(0).integers(0, 256, (240, 320), dtype=np.uint8)
+    found = find_segments(grey)
+    assert (np.hypot(*(found[:, 2:] - found[:, :2]).T) < 25).all()
+
+
+@pytest.mark.parametrize('shape', [(1, 1), (2, 2), (1, 300), (300, 1), (3, 320)])
+def test_an_image_without_room_for_a_segment_has_none(shape):
+    checks = (255 * (np.indices(shape).sum(0) % 2)).astype(np.uint8)
+    assert find_segments(checks).shape[1] == 4
+    assert len(find_segments(np.full(shape, 90, np.uint8))) == 0

