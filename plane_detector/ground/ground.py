@@ -51,6 +51,9 @@ HEIGHT_TOLERANCE = 0.1
 # Shares of the columns of an image that meet a level first. Rendered: before drops .85 to 1,
 # tables up to .65, the floor beside them at least .1. Flat from .7 on, and from .01 to .1.
 MAJORITY, FEW_COLUMNS = 0.75, 0.05
+# chosen: a robot stands farther than this from a straight edge before it. The edge is sought in so
+# many directions, in spite of so large a share of strays on the wrong side.
+ROBOT_M, DIRECTIONS, EDGE_STRAYS = 0.5, 72, 0.02
 # Pieces of one floor, as a network bends it, are at the same height of the camera within this
 # share; tables and seats, 1 to 1.8 m below a camera, are higher by at least .25 of it. Flat from
 # .05 to .22.
@@ -149,6 +152,8 @@ class SensorReach:
 
 
 NO_REACH = SensorReach()
+Seen = tuple[np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray]]
+"""Depth and labels (H, W) of an image, slopes of the rays of its columns and rows."""
 
 
 @lru_cache(maxsize=4)
@@ -434,7 +439,8 @@ def find_ground(found: PlaneSegmentation, depth_m: np.ndarray, intrinsics: Camer
         depth_m, labels = without_box(depth_m, labels, *rays,
                                       np.array(limits.ignore_box, np.float32))
     ways = _ways(intrinsics, *np.round(gravity.gravity_camera / WAY_STEP).tolist())
-    down, own = own_floor(found, labels, ways, gravity, limits.max_slope, known_m, plane_count)
+    seen = depth_m, labels, rays
+    down, own = own_floor(found, seen, ways, gravity, limits.max_slope, known_m, plane_count)
     rough_m = 0.0
     if gravity.is_sure and is_metric and not known_m:
         rough_m = _rough_floor(depth_m, labels, rays, gravity.gravity_camera, limits.min_height)
@@ -500,7 +506,7 @@ def find_ground(found: PlaneSegmentation, depth_m: np.ndarray, intrinsics: Camer
         pixels = replace(pixels, labels=rename_labels(labels, names))
     # Of a curved floor, no piece states how the camera is mounted over it.
     is_piece = plane_count is not None and plane_count <= own < len(found.planes)
-    mounting = None if is_piece else _mounting(found, labels, ways, gravity, config, own)
+    mounting = None if is_piece else _mounting(found, seen, ways, gravity, config, own)
     return Ground(classes, replace(pixels, is_ground=is_ground, own=own, doubt=doubt,
                                    camera_height_m=height_m, mounting=mounting), reach)
 
@@ -519,13 +525,13 @@ def _ways(intrinsics: CameraIntrinsics, *steps: float) -> Ways:
     return ways_over_ground(intrinsics, down / np.linalg.norm(down))
 
 
-def _mounting(found: PlaneSegmentation, labels: np.ndarray, ways: Ways, gravity: Gravity,
+def _mounting(found: PlaneSegmentation, seen: Seen, ways: Ways, gravity: Gravity,
               config: Config, own: int) -> Mounting | None:
     """Compare what is stated of the camera with the floor that is seen."""
     stated_m = config.scale.camera_height or np.nan
     is_stated = gravity.source in STATED_BY
     if own == len(found.planes) and stated_m > 0:  # not at the stated height: what is met first
-        _, own = own_floor(found, labels, ways, gravity, config.ground.max_slope, 0.0)
+        _, own = own_floor(found, seen, ways, gravity, config.ground.max_slope, 0.0)
     if own is None or own == len(found.planes) or not (stated_m > 0 or is_stated):
         return None
     plane, down = found.planes[own], gravity.gravity_camera
@@ -581,7 +587,7 @@ def _rough_floor(depth_m: np.ndarray, labels: np.ndarray, rays: tuple[np.ndarray
     return float(middle) if high - low <= min_height and middle > min_height else 0.0
 
 
-def own_floor(found: PlaneSegmentation, labels: np.ndarray, ways: Ways, gravity: Gravity,
+def own_floor(found: PlaneSegmentation, seen: Seen, ways: Ways, gravity: Gravity,
               max_slope_deg: float, known_height_m: float, plane_count: int | None = None
               ) -> tuple[np.ndarray | None, int | None]:
     """
@@ -610,8 +616,8 @@ def own_floor(found: PlaneSegmentation, labels: np.ndarray, ways: Ways, gravity:
         off_m = abs(surfaces.heights() - known_height_m)
         possible &= off_m <= HEIGHT_TOLERANCE * known_height_m + rise_m
     possible[-1] = False
-    own = _nearest_floor(first_met(labels, ways.lines, ways.count, possible),
-                         surfaces.heights(), ways.count, known_height_m > 0)
+    own = _nearest_floor(first_met(seen[1], ways.lines, ways.count, possible), surfaces, seen,
+                         ways.count, known_height_m > 0, SIGMAS * float(found.disparity_noise))
     if own is None:
         return (None if is_coarse and refined is None else down,
                 len(planes) if known_height_m > 0 else None)
@@ -622,23 +628,54 @@ def own_floor(found: PlaneSegmentation, labels: np.ndarray, ways: Ways, gravity:
     return down, own
 
 
-def _nearest_floor(votes: np.ndarray, heights_m: np.ndarray, ways: int,
-                   is_known: bool) -> int | None:
+def _nearest_floor(votes: np.ndarray, surfaces: Surfaces, seen: Seen, ways: int,
+                   is_known: bool, error: float) -> int | None:
     """
     Return which plane reaches nearest to the robot, by the columns that meet each first.
 
-    At the head of stairs all columns meet the own floor first. A table is met by some, others meet
-    the floor beside it: without a majority, the lowest level of several columns is the own floor.
+    At the head of stairs most columns meet the own floor first. A table is met by some, others
+    meet the floor beside it: without a majority, the own floor is the highest level of several
+    columns that ends at an edge as stairs do, otherwise the lowest. ``error`` is that of 1/z.
     """
     if not votes.any():
         return None
-    columns = len(range(0, ways, 4))
+    columns, heights_m = len(range(0, ways, 4)), surfaces.heights()
     if is_known or votes.max() >= MAJORITY * columns:
         return int(votes.argmax())
     is_met = votes >= min(FEW_COLUMNS * columns, votes.max())
     lowest_m = heights_m[is_met].max()
     at_level = is_met & (heights_m >= (1.0 - ONE_FLOOR) * lowest_m)
+    for k in np.flatnonzero(is_met & ~at_level)[np.argsort(heights_m[is_met & ~at_level])]:
+        if _ends_before_robot(seen, surfaces, k, error):
+            at_level = is_met & (abs(heights_m - heights_m[k]) <= ONE_FLOOR * lowest_m)
+            break
     return int(np.where(at_level, votes, -1).argmax())
+
+
+def _ends_before_robot(seen: Seen, surfaces: Surfaces, k: int, error: float) -> bool:
+    """
+    Return whether a plane ends at one straight edge, with the robot on its side.
+
+    Where the camera looks through it, it is not. One line parts the head of stairs and the robot
+    from that; beside a table the floor is seen to the left or right of it too.
+    """
+    (depth_m, labels, (ray_x, ray_y)), down = seen, surfaces.down
+    x, y = np.meshgrid(ray_x[::8], ray_y[::8])
+    rays, z = np.stack([x, y, np.ones_like(x)], -1).reshape(-1, 3), depth_m[::8, ::8].ravel()
+    sight = rays @ surfaces.normals[k]
+    is_down = sight < 0
+    inverse_z = sight / -surfaces.offsets[k]  # of the plane, by the pixel
+    is_on = is_down & (labels[::8, ::8].ravel() == k)
+    is_through = is_down & (z * (inverse_z - error) > 1.0 + ONE_FLOOR)
+    across = np.linalg.svd(down[None])[2][1:]  # two level axes
+    plan = rays @ across.T / np.maximum(inverse_z, 1e-9)[:, None]
+    angles = np.arange(DIRECTIONS) * 2 * np.pi / DIRECTIONS
+    away = np.stack([np.cos(angles), np.sin(angles)])
+    if not (is_on.any() and is_through.any()):
+        return False
+    ends_m = np.quantile(plan[is_on] @ away, 1 - EDGE_STRAYS, axis=0)
+    begins_m = np.quantile(plan[is_through] @ away, EDGE_STRAYS, axis=0)
+    return bool((np.maximum(ends_m, ROBOT_M) <= begins_m).any())
 
 
 def _ground_planes(surfaces: Surfaces, own: int, above: np.ndarray, error: np.ndarray,

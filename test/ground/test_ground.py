@@ -237,6 +237,31 @@ def test_the_own_floor_at_the_head_of_stairs_is_the_highest():
         terrain.drops_m[0], rel=0.2)
 
 
+@pytest.mark.parametrize('noise', [0.004, 'kinect'])
+@pytest.mark.parametrize('seed', [515, 544, 595])
+def test_the_own_floor_is_a_strip_below_from_which_the_camera_looks_past_an_edge(seed, noise):
+    """The camera is rolled, so that some columns see the landing below alone."""
+    terrain = random_terrain('stairs down', np.random.default_rng([seed, *b'stairs down']))
+    found = ground_benchmark.detect(terrain, noise, seed)
+    assert 0.01 < (terrain.kinds == Kind.FLOOR).mean() < 0.05
+    assert found.camera_height_m == pytest.approx(terrain.position_m[2], rel=0.08)
+    assert share(found, terrain, Kind.FLOOR) > 0.98
+
+
+@pytest.mark.parametrize('noise', [0.002, 'kinect'])
+@pytest.mark.parametrize('size, x_m, y_m, view', [
+    ((1.2, 0.7, 0.7), -0.5, 1.2, View(1.3, 15.0, 5.0, 10.0)),
+    ((1.6, 0.8, 0.7), 0.6, 1.4, View(1.2, 25.0, -5.0, -15.0)),
+    ((0.8, 2.0, 0.5), -0.6, 1.6, View(1.0, 20.0, 4.0, 0.0)),
+    ((1.4, 5.0, 0.4), 1.2, 3.0, View(0.9, 12.0, -6.0, 5.0))])
+def test_what_ends_at_a_side_is_not_the_own_floor(size, x_m, y_m, view, noise):
+    """Tables, a bed and a platform beside the robot, of which the near edge is out of view."""
+    terrain = laid(3.0, (8.0, 0.0, Kind.FLOOR), view=view, boxes=[(x_m, y_m, size)])
+    found = detect(terrain, noisy(terrain, noise, np.random.default_rng(1)))
+    assert found.camera_height_m == pytest.approx(view.height_m, rel=0.05)
+    assert share(found, terrain, Kind.FLOOR) > 0.95 and share(found, terrain, Kind.OBSTACLE) < 0.03
+
+
 def test_stairs_up_are_steps_and_obstacles():
     terrain = course(stairs, 1)
     found = detect(terrain)
