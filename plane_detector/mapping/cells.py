@@ -13,6 +13,7 @@ import math
 import operator
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -47,6 +48,17 @@ _TOLERANCE = 2.0
 _MARGIN = 8
 
 
+class CellSums(NamedTuple):
+    """Sums over the cells that are part of a plane."""
+
+    cells: int
+    columns: int
+    rows: int
+    hits: int
+    looks: int
+    ever_hit: int  # cells, whether they are part of it now or not
+
+
 @dataclass(frozen=True)
 class Cells:
     """Counts of looks and hits of square cells; the arrays are not changed."""
@@ -69,12 +81,12 @@ class Cells:
     @property
     def count(self) -> int:
         """Number of cells that are part of the plane."""
-        return int(self.sums[0])
+        return self.sums.cells
 
     @property
     def is_gone(self) -> bool:
         """Whether hardly any of the cells that were hit is left."""
-        return self.count < max(_FEWEST, _LEFT_SHARE * self.sums[5])
+        return self.count < max(_FEWEST, _LEFT_SHARE * self.sums.ever_hit)
 
     @property
     def area_m2(self) -> float:
@@ -84,15 +96,15 @@ class Cells:
     @property
     def centroid_m(self) -> np.ndarray:
         """Mean of these cells, (2,) along u and v; 0 if there is none."""
-        count, columns, rows = self.sums[:3]
-        if not count:
+        sums = self.sums
+        if not sums.cells:
             return np.zeros(2)
-        return self.size_m * (np.array([columns, rows]) / count + self.low + 0.5)
+        return self.size_m * (np.array([sums.columns, sums.rows]) / sums.cells + self.low + 0.5)
 
     @cached_property
-    def sums(self) -> tuple[int, int, int, int, int, int]:
+    def sums(self) -> CellSums:
         """Number of these cells, sums of their columns, rows, hits and looks; number ever hit."""
-        return _sums(self.hits, self.looks)
+        return CellSums(*_sums(self.hits, self.looks))
 
     def middles_m(self) -> np.ndarray:
         """Return the middles of these cells, (N, 2) along u and v."""

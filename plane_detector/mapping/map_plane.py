@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from plane_detector.mapping.cells import Cells
+from plane_detector.mapping.cells import Cells, CellSums
 from plane_detector.mapping.heights import PlaneFrames
 from plane_detector.planes.outline import Polygon, Rectangles
 from plane_detector.types import PlaneClass, Planes
@@ -100,22 +100,23 @@ def as_planes(planes: Sequence[MapPlane]) -> Planes:
     sizes_m = np.array([plane.cells.size_m for plane in planes])
     votes = np.array([plane.votes for plane in planes]).reshape(-1, CLASSES)
     return Planes(
-        normals, offsets_m, centroids_m, sums[0],
-        np.zeros(len(planes)), sums[0] * sizes_m**2, covariances,
-        sums[3] / np.maximum(sums[4], 1), classes=votes.argmax(axis=1).astype(np.uint8),
+        normals, offsets_m, centroids_m, sums.cells,
+        np.zeros(len(planes)), sums.cells * sizes_m**2, covariances,
+        sums.hits / np.maximum(sums.looks, 1), classes=votes.argmax(axis=1).astype(np.uint8),
         labels=np.array([plane.label for plane in planes], np.int64))
 
 
 def centroids_of(planes: Sequence[MapPlane], frames: PlaneFrames
-                 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the sums (6, M) of :attr:`Cells.sums`, and the means (M, 3) of the cells."""
-    sums = np.array([plane.cells.sums for plane in planes], np.int64).reshape(-1, 6).T
+                 ) -> tuple[CellSums, np.ndarray]:
+    """Return :attr:`Cells.sums` of all planes, each (M,), and the means (M, 3) of the cells."""
+    sums = CellSums(*np.array([plane.cells.sums for plane in planes],
+                              np.int64).reshape(-1, len(CellSums._fields)).T)
     sizes_m = np.array([plane.cells.size_m for plane in planes])
     lows = np.array([plane.cells.low for plane in planes]).reshape(-1, 2)
     middles = np.ones((len(planes), 3))  # u, v and the height there
-    middles[:, :2] = (sums[1:3] / np.maximum(sums[0], 1)).T
+    middles[:, :2] = (np.stack([sums.columns, sums.rows]) / np.maximum(sums.cells, 1)).T
     middles[:, :2] = sizes_m[:, None] * (middles[:, :2] + lows + 0.5)
-    middles[sums[0] == 0, :2] = 0.0
+    middles[sums.cells == 0, :2] = 0.0
     middles[:, 2] = (frames.coefficients * middles).sum(axis=1)
     return sums, frames.origins_m + (middles[:, None] @ frames.axes)[:, 0]
 
