@@ -119,7 +119,7 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
         ('[0, 1] -= scale *', '[0, 1] += scale *', 'sign of a covariance'),
         ('[0, 0] += scale * s_yy', '[0, 0] += scale * s_xx', 'swapped variances'),
         ('offset_m * by_ray', 'by_ray', 'derivatives without the distance'),
-        ('0, intrinsics.fy', '0, intrinsics.fx', 'fx for fy')),
+        ('[0, fy, 0]', '[0, fx, 0]', 'fx for fy')),
     'planes/reorientation.py': (
         ('** 2 - LOG_SHIFT_ODDS', '** 2', 'a common shift without odds against it'),
         ('in (0, len(SHIFT_SHARES) // 2, len(SHIFT_SHARES) - 1)', 'in (len(SHIFT_SHARES) // 2,)',

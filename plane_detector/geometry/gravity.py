@@ -28,7 +28,7 @@ _LEVEL_COSINE, _LEAST_CEILING, _LEAST_FLOOR, _UPSIDE_DOWN = math.cos(math.radian
 _NEAR_CEILING_M = 1.5  # chosen: below that of a room over a camera that looks up
 
 
-def unit_direction(direction: Sequence[float]) -> np.ndarray | None:
+def unit_direction(direction: Sequence[float] | np.ndarray) -> np.ndarray | None:
     """
     Return the direction (3,) with length 1; None for 0 0 0, which means unknown.
 
@@ -45,7 +45,7 @@ def unit_direction(direction: Sequence[float]) -> np.ndarray | None:
     return vector / length if length > 0 else None
 
 
-def measured_direction(direction: Sequence[float]) -> np.ndarray:
+def measured_direction(direction: Sequence[float] | np.ndarray) -> np.ndarray:
     """
     Return a measured direction (3,) with length 1.
 

@@ -30,8 +30,8 @@ class RigidTransform:
     translation_m: np.ndarray  # (3,) float64
 
     @classmethod
-    def from_quaternion(cls, quaternion: Sequence[float],
-                        translation_m: Sequence[float]) -> RigidTransform:
+    def from_quaternion(cls, quaternion: Sequence[float] | np.ndarray,
+                        translation_m: Sequence[float] | np.ndarray) -> RigidTransform:
         """
         Return the transform of a quaternion x y z w of any length, and a translation.
 

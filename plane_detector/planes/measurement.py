@@ -15,6 +15,7 @@ import numpy as np
 
 from plane_detector._runtime.compilation import kernel
 from plane_detector.planes.region_samples import MIN_COSINE
+from plane_detector.segmentation.cells.grid import lens_of
 from plane_detector.segmentation.cells.labels import relabel_sequential
 from plane_detector.segmentation.cells.noise import CORRELATED_CELLS, SLOPE_PER_NOISE
 from plane_detector.segmentation.cells.pixel_regions import PixelRegions
@@ -264,11 +265,8 @@ def confidence(share, deviation_rad):
 
 def ray_plane_jacobian(intrinsics: CameraIntrinsics) -> np.ndarray:
     """Return the matrix (3, 3) that maps (a, b, c) to (A, B, C)."""
-    width, height = intrinsics.width, intrinsics.height
-    return np.array([
-        [intrinsics.fx / width, 0, 0], [0, intrinsics.fy / width, 0],
-        [(intrinsics.cx - (width - 1) / 2) / width, (intrinsics.cy - (height - 1) / 2) / width,
-         1]])
+    fx, fy, x, y = lens_of(intrinsics)
+    return np.array([[fx, 0, 0], [0, fy, 0], [x, y, 1]])
 
 
 def normal_matrices(m: np.ndarray) -> np.ndarray:
