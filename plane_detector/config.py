@@ -128,16 +128,16 @@ class ScaleConfig(Settings, section='scale'):
         'the optical frame', '', -1.0, 1.0)
     smoothing: float = setting(
         0.8, 'weight of the previous scale and shift in each frame; 0: none', '', 0.0, 0.999,
-        inner=True)
+        python_only=True)
     max_jump: float = setting(
         0.15, 'a frame whose scale and shift would change depth by more than this share is an '
-        'outlier', '', 0.001, 10.0, inner=True)
+        'outlier', '', 0.001, 10.0, python_only=True)
     reset_after: int = setting(
         3, 'this many consecutive outlier frames that agree with each other start a new scene',
-        'frames', 1, 1000, inner=True)
+        'frames', 1, 1000, python_only=True)
     hold_frames: int = setting(
         90, 'the last scale and shift are kept for this long while they cannot be estimated',
-        'frames', 0, 1000000, inner=True)
+        'frames', 0, 1000000, python_only=True)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -167,7 +167,7 @@ class DirectionsConfig(Settings, section='directions'):
         0.1, 'the lines of an image are kept for the images of this time after it, by their '
         'stamps, with measured depth, where they only give gravity, and with a network while '
         'nothing moves; five to twenty times longer while the normals of planes show that the '
-        'camera does not turn; 0: lines are found in every image', 's', 0.0, 1.0, inner=True)
+        'camera does not turn; 0: lines are found in every image', 's', 0.0, 1.0, python_only=True)
 
 
 @dataclass(frozen=True)
@@ -190,13 +190,13 @@ class SegmentationConfig(Settings, section='segmentation'):
         0.0, 1.0)
     flatness_angle: float = setting(
         4.0, 'largest angle between planes that flatness_distance merges', 'deg', 0.0, 45.0,
-        inner=True)
+        python_only=True)
     memory: bool = setting(
         True, 'planes of measured depth stay from image to image unless the depth is clear; off: '
         'each image by itself')
     snap_to_picture: bool = setting(
         True, 'with the depth of a network, borders of planes move to image edges within about '
-        '3 pixels of the network input', inner=True)
+        '3 pixels of the network input', python_only=True)
 
 
 @dataclass(frozen=True)
@@ -204,8 +204,8 @@ class RansacConfig(Settings, section='ransac'):
     """Search for planes by sequential RANSAC."""
 
     max_iterations: int = setting(
-        1000, 'maximum number of hypotheses per search', '', 1, 1000000, inner=True)
-    seed: int = setting(0, 'seed of the random generator', '', 0, 2**31 - 1, inner=True)
+        1000, 'maximum number of hypotheses per search', '', 1, 1000000, python_only=True)
+    seed: int = setting(0, 'seed of the random generator', '', 0, 2**31 - 1, python_only=True)
 
 
 @dataclass(frozen=True)
@@ -213,9 +213,9 @@ class DbscanConfig(Settings, section='dbscan'):
     """Density clustering of the cells of one plane, in the grid of the image."""
 
     eps: float = setting(
-        1.5, 'radius of the neighbourhood', 'cells', 1.0, 20.0, inner=True)
+        1.5, 'radius of the neighbourhood', 'cells', 1.0, 20.0, python_only=True)
     min_samples: int = setting(
-        3, 'neighbours of a core cell, including itself', '', 1, 1000, inner=True)
+        3, 'neighbours of a core cell, including itself', '', 1, 1000, python_only=True)
 
 
 @dataclass(frozen=True)
@@ -226,7 +226,7 @@ class TrackingConfig(Settings, section='tracking'):
         True, 'a plane keeps its label from image to image; off: labels by size in each image')
     keep_frames: int = setting(
         30, 'a plane that is not found keeps its label for this long', 'frames', 0, 250,
-        inner=True)
+        python_only=True)
 
 
 @dataclass(frozen=True)
@@ -319,13 +319,14 @@ class PaperConfig(Settings, section='paper'):
     """Metric thresholds of the paper's method, the baseline."""
 
     distance_threshold: float = setting(0.05, 'RANSAC inlier distance', 'm', 1e-4, 10.0)
-    max_iterations: int = setting(1000, 'RANSAC iterations per plane', '', 1, 10000, inner=True)
+    max_iterations: int = setting(
+        1000, 'RANSAC iterations per plane', '', 1, 10000, python_only=True)
     dbscan_eps: float = setting(0.1, 'DBSCAN radius', 'm', 1e-4, 1.0)
     dbscan_min_samples: int = setting(
-        10, 'DBSCAN neighbours of a core point', '', 1, 10000, inner=True)
+        10, 'DBSCAN neighbours of a core point', '', 1, 10000, python_only=True)
     max_points: int = setting(
         20000, 'points are reduced to this number before the search; the time grows with its '
-        'square if all of them are within dbscan_eps', '', 100, 50000, inner=True)
+        'square if all of them are within dbscan_eps', '', 100, 50000, python_only=True)
 
 
 @dataclass(frozen=True)

@@ -46,73 +46,76 @@ class NetworkSteps:
     def __init__(self) -> None:
         self._scale: ScaleState | None = None
 
-    def segment(self, seen: Observation, config: Config) -> PixelRegions:
+    def segment(self, observation: Observation, config: Config) -> PixelRegions:
         """Return the pixels of each plane, in the unit of the network."""
-        floor = _noise_floor(seen, config)
+        floor = _noise_floor(observation, config)
         if config.segmentation.method == 'paper':
-            if seen.output in UNITLESS:
+            if observation.output in UNITLESS:
                 raise ValueError('segmentation.method paper needs depth in metres, but the '
-                                 f'network gives {seen.output}')
-            return segment_by_paper(seen.disparity, seen.intrinsics, floor, config)
-        snaps = config.segmentation.snap_to_picture and seen.edge_blur_px > 0
-        return segment(seen.disparity, floor, config,
-                       guide=GuideImage(seen.rgb, seen.edge_blur_px) if snaps else None,
-                       normals=NormalMap.of(seen.prediction, seen.intrinsics),
-                       lens=lens_of(seen.intrinsics))
+                                 f'network gives {observation.output}')
+            return segment_by_paper(observation.disparity, observation.intrinsics, floor, config)
+        snaps = config.segmentation.snap_to_picture and observation.edge_blur_px > 0
+        return segment(observation.disparity, floor, config,
+                       guide=(GuideImage(observation.rgb, observation.edge_blur_px) if snaps
+                              else None),
+                       normals=NormalMap.of(observation.prediction, observation.intrinsics),
+                       lens=lens_of(observation.intrinsics))
 
-    def scale(self, seen: Observation, regions: PixelRegions, around: Surroundings,
+    def scale(self, observation: Observation, regions: PixelRegions, surroundings: Surroundings,
               config: Config) -> tuple[ScaleEstimate, str]:
         """Return scale and shift to metres, and what changed with this image, if anything."""
         evidence = ScaleEvidence(
-            seen.disparity, lambda: ray_planes(regions, seen.intrinsics), seen.output,
-            around.gravity.gravity_camera, around.gravity.tolerance_deg, around.level_axes,
-            around.open_axes, seen.sensor_depth_m)
+            observation.disparity, lambda: ray_planes(regions, observation.intrinsics),
+            observation.output, surroundings.gravity.gravity_camera,
+            surroundings.gravity.tolerance_deg, surroundings.level_axes, surroundings.open_axes,
+            observation.sensor_depth_m)
         self._scale = update_scale(self._scale, estimate_scale(evidence, config.scale),
                                    config.scale)
         return self._scale.estimate, self._scale.event
 
-    def measure(self, seen: Observation, regions: PixelRegions, scale: ScaleEstimate,
-                around: Surroundings, config: Config
+    def measure(self, observation: Observation, regions: PixelRegions, scale: ScaleEstimate,
+                surroundings: Surroundings, config: Config
                 ) -> tuple[np.ndarray, PixelRegions, PlaneSegmentation]:
         """Return depth (H, W), regions and planes in metres, or in the unit of the scale."""
-        depth_m, is_rescaled = _scaled_depth(seen, scale, config.depth.max_depth)
+        depth_m, is_rescaled = _scaled_depth(observation, scale, config.depth.max_depth)
+        intrinsics = observation.intrinsics
         regions = regions.rescaled(scale.scale, scale.shift)
-        if seen.prediction.normals_camera is not None and scale.has_true_angles:
-            regions = reoriented_by_normals(regions, seen.prediction, seen.intrinsics)
+        if observation.prediction.normals_camera is not None and scale.has_true_angles:
+            regions = reoriented_by_normals(regions, observation.prediction, intrinsics)
         regions = regions.restricted_to(np.isfinite(depth_m)) if is_rescaled else regions
-        share, lines = config.segmentation.min_plane_share, around.lines
+        share, lines = config.segmentation.min_plane_share, surroundings.lines
         if not (config.directions.orient_planes and scale.has_true_angles) or (
                 lines is None or not len(lines.axes)):
-            return depth_m, regions, measured_segmentation(regions, seen.intrinsics, share)
+            return depth_m, regions, measured_segmentation(regions, intrinsics, share)
         return depth_m, regions, measured_segmentation(
-            regions, seen.intrinsics, share, partial(
+            regions, intrinsics, share, partial(
                 measure_reoriented, lines=lines,
                 shift_rad=np.radians(np.nan_to_num(scale.angle_sigma_deg))))
 
     def fill(self, planes: PlaneSegmentation, regions: PixelRegions, depth_m: np.ndarray,
-             seen: Observation, shape_labels: np.ndarray) -> np.ndarray:
+             observation: Observation, shape_labels: np.ndarray) -> np.ndarray:
         """Return the labels (H, W), with pixels off all planes where colours show a surface."""
         if not regions.patches.size:
             return planes.labels
         return fill_patches(planes.labels, regions.patches, planes.planes, depth_m,
-                            seen.intrinsics, shape_labels)
+                            observation.intrinsics, shape_labels)
 
 
-def _noise_floor(seen: Observation, config: Config) -> Noise:
+def _noise_floor(observation: Observation, config: Config) -> Noise:
     """Return the lower bound of the noise, in the unit of the disparity."""
-    if seen.output not in UNITLESS and (
-            config.segmentation.disparity_noise or not seen.noise_share):
+    if observation.output not in UNITLESS and (
+            config.segmentation.disparity_noise or not observation.noise_share):
         return metric_noise_floor(config, is_measured=False)
-    return unitless_noise_floor(seen.disparity, seen.disparity_noise)
+    return unitless_noise_floor(observation.disparity, observation.disparity_noise)
 
 
-def _scaled_depth(seen: Observation, scale: ScaleEstimate, max_depth_m: float
+def _scaled_depth(observation: Observation, scale: ScaleEstimate, max_depth_m: float
                   ) -> tuple[np.ndarray, bool]:
     """
     Return the depth (H, W) in the unit of the scale, and whether it is another than before.
 
     Unscaled metres are the same array, valid wherever the disparity was.
     """
-    if seen.output == 'metric_depth' and (scale.scale, scale.shift) == (1.0, 0.0):
-        return seen.prediction.values, False
-    return apply_scale(seen.disparity, scale, max_depth_m), True
+    if observation.output == 'metric_depth' and (scale.scale, scale.shift) == (1.0, 0.0):
+        return observation.prediction.values, False
+    return apply_scale(observation.disparity, scale, max_depth_m), True

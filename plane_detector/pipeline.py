@@ -64,7 +64,7 @@ _KIND_IMAGES = 64
 State = TypeVar('State')
 
 
-class _OfEpoch(Generic[State]):
+class _PerEpochState(Generic[State]):
     """What a stage keeps from image to image, made anew for the first image of an epoch."""
 
     def __init__(self, make: Callable[[], State]) -> None:
@@ -98,27 +98,27 @@ class _MeasuredSteps:
     """The steps from a sensor's depth to planes, as `NetworkSteps`: it is in metres."""
 
     loops: tuple[str, ...] = ()
-    uses_lines = False
 
     def __init__(self) -> None:
         self._memory = NO_MEMORY
         self._event = f'scale: {METRIC}'
 
-    def segment(self, seen: Observation, config: Config) -> PixelRegions:
+    def segment(self, observation: Observation, config: Config) -> PixelRegions:
         before = self._memory if config.segmentation.memory else NO_MEMORY
-        regions, self._memory = _find_regions(seen.disparity, seen.intrinsics, config,
-                                              metric_noise_floor(config), memory=before)
+        regions, self._memory = _find_regions(
+            observation.disparity, observation.intrinsics, config, metric_noise_floor(config),
+            memory=before)
         return regions
 
     def scale(self, *_: object) -> tuple[ScaleEstimate, str]:
         event, self._event = self._event, ''
         return METRIC, event
 
-    def measure(self, seen: Observation, regions: PixelRegions, scale: ScaleEstimate,
-                around: Surroundings, config: Config
+    def measure(self, observation: Observation, regions: PixelRegions, scale: ScaleEstimate,
+                surroundings: Surroundings, config: Config
                 ) -> tuple[np.ndarray, PixelRegions, PlaneSegmentation]:
-        return seen.prediction.values, regions, measured_segmentation(
-            regions, seen.intrinsics, config.segmentation.min_plane_share)
+        return observation.prediction.values, regions, measured_segmentation(
+            regions, observation.intrinsics, config.segmentation.min_plane_share)
 
     def fill(self, planes: PlaneSegmentation, *_: object) -> np.ndarray:
         return planes.labels
@@ -126,9 +126,8 @@ class _MeasuredSteps:
 
 @dataclass
 class _PlaneState:
-    """What the third stage keeps."""
+    """What the third stage keeps, whatever the source of depth is."""
 
-    steps: _MeasuredSteps | NetworkSteps
     tracker: PlaneTracker = field(default_factory=PlaneTracker)
     shapes: ShapeDetector = field(default_factory=ShapeDetector)
     reach: SensorReach = NO_REACH
@@ -167,10 +166,11 @@ class PlaneDetector:
         self.source: DepthSource = make_source(self.config, depth_model)
         self._epoch = self._depth_epoch = 0
         self._stamp_s = float('nan')
-        self._kinds = _OfEpoch(_KindNote)
-        self._directions = _OfEpoch(DirectionFinder)
-        self._steps = NetworkSteps if isinstance(self.source, ModelDepth) else _MeasuredSteps
-        self._planes = _OfEpoch(lambda: _PlaneState(self._steps()))
+        self._kinds = _PerEpochState(_KindNote)
+        self._directions = _PerEpochState(DirectionFinder)
+        self._steps: _PerEpochState[_MeasuredSteps | NetworkSteps] = _PerEpochState(
+            NetworkSteps if isinstance(self.source, ModelDepth) else _MeasuredSteps)
+        self._planes = _PerEpochState(_PlaneState)
 
     def detect(self, rgb: np.ndarray, intrinsics: CameraIntrinsics,
                depth_m: np.ndarray | None = None, gravity_camera: np.ndarray | None = None,
@@ -212,10 +212,10 @@ class PlaneDetector:
             image is missing.
 
         """
-        seen = self.estimate_depth(rgb, intrinsics, depth_m, covered, stamp_s)
+        observation = self.estimate_depth(rgb, intrinsics, depth_m, covered, stamp_s)
         with one_thread():
-            around = self.find_directions(seen, gravity_camera)
-            return self.find_planes(seen, around, camera_height_m)
+            surroundings = self.find_directions(observation, gravity_camera)
+            return self.find_planes(observation, surroundings, camera_height_m)
 
     def estimate_depth(self, rgb: np.ndarray, intrinsics: CameraIntrinsics,
                        depth_m: np.ndarray | None = None, covered: np.ndarray | None = None,
@@ -246,16 +246,16 @@ class PlaneDetector:
             notes.append(self._kinds.at(epoch).of_next(depth_m, intrinsics,
                                                        self.config.depth.kind))
         with timer('depth'):
-            seen = self.source.observe(rgb, intrinsics, depth_m, self.config)
-            if seen.is_measured:
-                seen = seen.without_constants(without_constants(
-                    seen.prediction.values, metric_noise_floor(self.config)))
+            observation = self.source.observe(rgb, intrinsics, depth_m, self.config)
+            if observation.is_measured:
+                observation = observation.without_constants(without_constants(
+                    observation.prediction.values, metric_noise_floor(self.config)))
             if covered is not None:
-                seen = seen.restricted_to(covered)
-        return replace(seen, stamp_s=stamp_s, epoch=epoch, timer=timer,
+                observation = observation.restricted_to(covered)
+        return replace(observation, stamp_s=stamp_s, epoch=epoch, timer=timer,
                        input_note=_joined(notes))
 
-    def find_directions(self, seen: Observation, gravity_camera: np.ndarray | None = None,
+    def find_directions(self, observation: Observation, gravity_camera: np.ndarray | None = None,
                         gravity_source: str = 'measured') -> Surroundings:
         """
         Run the second stage: gravity and lines.
@@ -265,37 +265,39 @@ class PlaneDetector:
         """
         if gravity_camera is not None:
             gravity_camera = measured_direction(gravity_camera)
-        image = CameraImage(seen.rgb, seen.intrinsics, seen.covered, seen.disparity,
-                            seen.output == 'relative_disparity', seen.stamp_s,
-                            is_measured=seen.is_measured,
-                            is_lens_guessed=seen.intrinsics.is_guessed,
-                            is_still=seen.is_measured or seen.is_still)
-        with seen.timer('directions'), one_thread():
-            return self._directions.at(seen.epoch).find(
-                image, gravity_camera, seen.config, gravity_source,
-                for_planes=self._steps.uses_lines and seen.config.directions.orient_planes)
+        image = CameraImage(observation.rgb, observation.intrinsics, observation.covered,
+                            observation.disparity,
+                            observation.output == 'relative_disparity', observation.stamp_s,
+                            is_measured=observation.is_measured,
+                            is_lens_guessed=observation.intrinsics.is_guessed,
+                            is_still=observation.is_measured or observation.is_still)
+        with observation.timer('directions'), one_thread():
+            return self._directions.at(observation.epoch).find(
+                image, gravity_camera, observation.config, gravity_source,
+                for_planes=(observation.config.directions.orient_planes
+                            and not observation.is_measured))
 
-    def find_planes(self, seen: Observation, around: Surroundings,
+    def find_planes(self, observation: Observation, surroundings: Surroundings,
                     camera_height_m: float | None = None) -> Detection:
         """Run the third stage of :meth:`detect`: the planes of an image with depth."""
         with one_thread():
-            return self._find_planes(seen, around, camera_height_m)
+            return self._find_planes(observation, surroundings, camera_height_m)
 
-    def _find_planes(self, seen: Observation, around: Surroundings,
+    def _find_planes(self, observation: Observation, surroundings: Surroundings,
                      camera_height_m: float | None) -> Detection:
-        config, timer = _with_height(seen.config, camera_height_m), seen.timer
-        state = self._planes.at(seen.epoch)
-        steps = state.steps
+        config, timer = _with_height(observation.config, camera_height_m), observation.timer
+        state, steps = self._planes.at(observation.epoch), self._steps.at(observation.epoch)
         with timer('segmentation'):
             # 1. The pixels of each plane, in the unit of the prediction.
             load_once(*LOOPS, *steps.loops)
-            regions = steps.segment(seen, config)
+            regions = steps.segment(observation, config)
         with timer('scale'):
             # 2. The scale and shift to metres, smoothed over time.
-            scale, scale_event = steps.scale(seen, regions, around, config)
+            scale, scale_event = steps.scale(observation, regions, surroundings, config)
         with timer('measurement'):
             # 3. Depth and planes in metres, or in an arbitrary unit if the scale is not known.
-            depth_m, regions, planes = steps.measure(seen, regions, scale, around, config)
+            depth_m, regions, planes = steps.measure(observation, regions, scale, surroundings,
+                                                     config)
         with timer('shapes'):
             # 4. Spheres, cylinders and cones where there is no plane, if requested.
             shapes, shape_labels = (), NO_SHAPE_LABELS
@@ -303,32 +305,34 @@ class PlaneDetector:
                           '' if scale.is_metric else 'the unit of depth is not known')
             if not shape_note:
                 planes, shapes, shape_labels = state.shapes.detect(
-                    depth_m, planes, regions, seen.intrinsics, config)
+                    depth_m, planes, regions, observation.intrinsics, config)
         with timer('ground'):
             # 5. Own floor, ramps, obstacles and drops, if angles are true and gravity is known.
-            gravity = around.gravity if scale.has_true_angles else NO_GRAVITY
+            gravity = surroundings.gravity if scale.has_true_angles else NO_GRAVITY
             surfaces = (planes if gravity.gravity_camera is None else
-                        _with_facets(planes, regions, seen.intrinsics, config))
-            ground = find_ground(surfaces, depth_m, seen.intrinsics, gravity, config, state.reach,
-                                 plane_count=len(planes.planes), is_metric=scale.is_metric,
-                                 doubt=seen.doubt)
+                        _with_facets(planes, regions, observation.intrinsics, config))
+            ground = find_ground(surfaces, depth_m, observation.intrinsics, gravity, config,
+                                 state.reach, plane_count=len(planes.planes),
+                                 is_metric=scale.is_metric,
+                                 doubt=observation.scale_warning)
             state.reach = ground.reach
             planes = replace(planes, planes=replace(
                 planes.planes, classes=ground.classes[:len(planes.planes)]))
         with timer('tracking'):
             # 6. Labels that are stable from image to image.
             planes = state.tracker.update(planes, config.tracking)
-            self._directions.at(seen.epoch).note_planes(planes, is_trusted=(
-                seen.is_measured and around.gravity.gravity_camera is not None))
+            self._directions.at(observation.epoch).note_planes(planes, is_trusted=(
+                observation.is_measured and surroundings.gravity.gravity_camera is not None))
         with timer('patches'):
             # 7. Pixels off all planes, if the colours show better where a surface ends.
-            labels = steps.fill(planes, regions, depth_m, seen, shape_labels)
-        input_note = _joined([seen.input_note, _sign_note(planes, around, scale)])
+            labels = steps.fill(planes, regions, depth_m, observation, shape_labels)
+        input_note = _joined([observation.input_note, _sign_note(planes, surroundings, scale)])
         return Detection(planes.planes, labels, planes.disparity_noise, depth_m, scale,
                          systematic_noise=planes.systematic_noise, plane_note=planes.plane_note,
-                         gravity=around.gravity, ground_result=ground.result,
-                         is_measured=seen.is_measured, constant_note=seen.constant_note,
-                         input_note=input_note, scale_event=scale_event, shapes=shapes,
+                         gravity=surroundings.gravity, ground_result=ground.result,
+                         is_measured=observation.is_measured,
+                         constant_note=observation.constant_note, input_note=input_note,
+                         scale_event=scale_event, shapes=shapes,
                          shape_labels=shape_labels, shape_note=shape_note,
                          stage_seconds=timer.seconds)
 
@@ -424,9 +428,9 @@ def _joined(notes: list[str]) -> str:
     return '; '.join(filter(None, notes))
 
 
-def _sign_note(found: PlaneSegmentation, around: Surroundings, scale: ScaleEstimate) -> str:
+def _sign_note(found: PlaneSegmentation, surroundings: Surroundings, scale: ScaleEstimate) -> str:
     """Return that measured gravity may point up; empty if nothing tells so."""
-    gravity = around.gravity
+    gravity = surroundings.gravity
     if gravity.gravity_camera is None or gravity.source in ('image', 'parameter'):
         return ''
     if not (scale.is_metric and scale.has_true_angles):
@@ -452,5 +456,5 @@ def _with_facets(planes: PlaneSegmentation, regions: PixelRegions, intrinsics: C
         return planes
     facets = measured_segmentation(regions.of_facets(), intrinsics,
                                    config.segmentation.min_plane_share)
-    return replace(planes, planes=planes.planes.followed_by(facets.planes), labels=np.where(
+    return replace(planes, planes=planes.planes.concatenated(facets.planes), labels=np.where(
         facets.labels >= 0, facets.labels + np.int32(len(planes.planes)), planes.labels))

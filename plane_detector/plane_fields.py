@@ -147,7 +147,7 @@ class Columns:
                                  f'or indices (N,), not by an array of shape {index.shape}')
         return type(self)(*(getattr(self, name)[index] for name in columns_of(type(self))))
 
-    def followed_by(self: Table, others: Table) -> Table:
+    def concatenated(self: Table, others: Table) -> Table:
         """Return these rows and others, which are in the same frame."""
         return type(self)(*(np.concatenate([getattr(self, name), getattr(others, name)])
                             for name in columns_of(type(self))))

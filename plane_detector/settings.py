@@ -10,11 +10,12 @@ from typing import Any
 
 
 def setting(default: Any, doc: str, unit: str = '', low: float | None = None,
-            high: float | None = None, choices: tuple[str, ...] = (), inner: bool = False) -> Any:
+            high: float | None = None, choices: tuple[str, ...] = (),
+            python_only: bool = False) -> Any:
     """
     Declare a field with its description, unit, range and choices.
 
-    An inner one is for programs and studies: the node has no parameter for it.
+    One that is ``python_only`` is for programs and studies: the node has no parameter for it.
 
     Examples
     --------
@@ -31,7 +32,7 @@ def setting(default: Any, doc: str, unit: str = '', low: float | None = None,
     """
     return field(default=default, metadata={
         'doc': doc, 'unit': unit, 'low': low, 'high': high, 'choices': choices,
-        'read_only': False, 'inner': inner})
+        'read_only': False, 'python_only': python_only})
 
 
 def fixed_setting(*args: Any, **kwargs: Any) -> Any:
@@ -83,10 +84,10 @@ def _same_type(value: Any, default: Any) -> bool:
 
 
 def parameters_of(settings: Settings, prefix: str = '') -> Iterator[tuple[str, Field, Any]]:
-    """Yield name (nested: ``depth.model``), field and value of each setting but inner ones."""
+    """Yield name (nested: ``depth.model``), field and value of each setting that the node has."""
     for f in fields(settings):
         value = getattr(settings, f.name)
         if isinstance(value, Settings):
             yield from parameters_of(value, f'{prefix}{f.name}.')
-        elif not f.metadata['inner']:
+        elif not f.metadata['python_only']:
             yield prefix + f.name, f, value

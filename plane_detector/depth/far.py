@@ -49,8 +49,8 @@ _LEAST_SHARE, _MIN_FLAT_GREY, _MIN_BRIGHTER, _MOST_SLOPE = 0.01, 140.0, 30.0, 0.
 _BORDER_PX = 3  # the texture window reaches this far beyond the region
 
 
-def knowable(disparity: np.ndarray, noise: float, rgb: np.ndarray,
-             has_shift: bool = False) -> tuple[np.ndarray, bool]:
+def has_usable_distance(disparity: np.ndarray, noise: float, rgb: np.ndarray,
+                        has_shift: bool = False) -> tuple[np.ndarray, bool]:
     """
     Return the pixels (H, W) bool whose disparity determines a distance, and whether sky is seen.
 

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from plane_detector.config import Config
-from plane_detector.depth.far import knowable
+from plane_detector.depth.far import has_usable_distance
 from plane_detector.depth.readers import lens_factor
 from plane_detector.depth.temporal_filter import FilteredDisparity, filter_disparity
 from plane_detector.geometry.disparity import (
@@ -63,7 +63,7 @@ class Observation:
     timer: StageTimer = field(default_factory=StageTimer)  # of the stages on this image
 
     @property
-    def doubt(self) -> str:
+    def scale_warning(self) -> str:
         """Why its lengths mean nothing; empty if nothing is known against them."""
         return ('the network was trained indoors, and the image shows the sky'
                 if self.prediction.is_indoor and self.sees_sky else '')
@@ -219,8 +219,8 @@ class ModelDepth:
                            sensor_depth_m=depth_m, noise_share=self.model.noise_share,
                            edge_blur_px=self.model.edge_blur_px(width, height))
         seen = self._averaged(seen)
-        known, sees_sky = knowable(seen.disparity, seen.disparity_noise, rgb,
-                                    output == 'relative_disparity')
+        known, sees_sky = has_usable_distance(seen.disparity, seen.disparity_noise, rgb,
+                                              output == 'relative_disparity')
         if not known.all():
             seen = seen.with_values(np.where(known, seen.prediction.values, np.nan))
         return replace(seen, sees_sky=sees_sky)

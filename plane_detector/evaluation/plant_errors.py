@@ -65,8 +65,8 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
          'the state of a stage outlives a reset'),
         ('if stamp_s < self._stamp_s - JUMP_S:',
          'if stamp_s < self._stamp_s:', 'an image that was overtaken is a jump back in time'),
-        ('is_trusted=(\n                seen.is_measured and '
-         'around.gravity.gravity_camera is not None)',
+        ('is_trusted=(\n                observation.is_measured and '
+         'surroundings.gravity.gravity_camera is not None)',
          'is_trusted=True',
          'planes of a network, or in the dark, show that nothing turns'),),
     'network_steps.py': (

@@ -87,7 +87,7 @@ class FrameProcessor:
             converted = self._converter.convert(frame, settings)
             transforms = self._transforms.awaited(frame.image.header, settings)
         # 2. Depth; meanwhile TF may receive the transforms of this image.
-        seen = self.detector.estimate_depth(
+        observation = self.detector.estimate_depth(
             converted.rgb, converted.intrinsics, converted.depth_m, converted.covered,
             1e-9 * ns_of(frame.image), timer)
 
@@ -95,20 +95,22 @@ class FrameProcessor:
             with timer('wait'):
                 pose, to_target, problem = transforms()
             # 3. Gravity and lines, then planes.
-            around = self.detector.find_directions(seen, *measured_gravity(frame, pose))
-            found = self.detector.find_planes(seen, around, pose and pose.height_m)
+            surroundings = self.detector.find_directions(observation,
+                                                         *measured_gravity(frame, pose))
+            found = self.detector.find_planes(observation, surroundings, pose and pose.height_m)
             if frame.imu_problem:
                 found = replace(found, input_note='; '.join(filter(None, (
                     found.input_note, frame.imu_problem))))
             result = DetectedFrame(
-                found, seen.intrinsics, to_target, seen.stamp_s, header=frame.image.header,
-                rgb=seen.rgb, settings=settings, config=seen.config,
+                found, observation.intrinsics, to_target, observation.stamp_s,
+                header=frame.image.header,
+                rgb=observation.rgb, settings=settings, config=observation.config,
                 to_base=pose and pose.to_base, pose_problem=problem,
                 distortion=converted.distortion, timer=timer)
             if self.map is not None:
                 with timer('map'):
                     # 4. One lasting plane for one surface.
-                    self.map.add(result, seen.epoch)
+                    self.map.add(result, observation.epoch)
             return result
         return find_planes
 

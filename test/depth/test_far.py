@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from plane_detector.config import Config
-from plane_detector.depth.far import find_sky, knowable
+from plane_detector.depth.far import find_sky, has_usable_distance
 from plane_detector.depth.observation import DepthFunction, ModelDepth
 from plane_detector.types import CameraIntrinsics
 
@@ -87,10 +87,12 @@ def test_the_reduced_image_of_a_narrow_one_is_not_large(monkeypatch):
 def test_a_disparity_within_its_noise_of_zero_determines_no_distance():
     rgb = np.zeros((1, 4, 3), np.uint8)
     disparity = np.array([[0.029, 0.031, 0.5, np.nan]], np.float32)
-    np.testing.assert_array_equal(knowable(disparity, 0.01, rgb)[0], [[False, True, True, True]])
-    assert knowable(disparity, 0.0, rgb)[0].all()
-    assert knowable(disparity, 0.01, rgb, has_shift=True)[0].all(), 'the shift is not known'
-    assert knowable(disparity - 0.1, 0.01, rgb, has_shift=True)[0].all()
+    usable, _ = has_usable_distance(disparity, 0.01, rgb)
+    np.testing.assert_array_equal(usable, [[False, True, True, True]])
+    assert has_usable_distance(disparity, 0.0, rgb)[0].all()
+    assert has_usable_distance(disparity, 0.01, rgb, has_shift=True)[0].all(), (
+        'the shift is not known')
+    assert has_usable_distance(disparity - 0.1, 0.01, rgb, has_shift=True)[0].all()
 
 
 @pytest.mark.parametrize('output', ['metric_depth', 'disparity', 'relative_disparity'])

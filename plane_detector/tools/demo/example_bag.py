@@ -17,7 +17,7 @@ from plane_detector.ground.grid import level_frame
 from plane_detector.ros.calibration import camera_info_to_msg
 from plane_detector.ros.outputs.messages import rgb_to_msg
 from plane_detector.tools.demo.photographs import WORKSHOP_GRAVITY, Photograph
-from plane_detector.tools.replay.writer import BagWriter, Draft
+from plane_detector.tools.replay.writer import AtomicOutput, BagWriter
 
 IMAGES, PERIOD_NS, START_NS = 6, 200_000_000, 1_000_000_000
 COLOUR = '/camera/camera/color'
@@ -35,7 +35,7 @@ def write_example_bag(target: Path, photograph: Photograph) -> None:
     """
     depth_mm = np.rint(1000 * np.nan_to_num(photograph.true_depth_m)).astype('<u2')
     height, width = depth_mm.shape
-    with Draft(target) as draft:
+    with AtomicOutput(target) as draft:
         with BagWriter(draft.path, 'mcap', compressed=True) as bag:
             bag.add_outputs({f'{COLOUR}/image_raw': Image, f'{COLOUR}/camera_info': CameraInfo,
                              DEPTH: Image})

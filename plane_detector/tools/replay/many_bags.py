@@ -23,7 +23,7 @@ from plane_detector._runtime.process import one_thread
 from plane_detector.tools.replay.bag_reader import FILE_SUFFIXES, BagError, bag_name
 from plane_detector.tools.replay.options import ReplayOptions
 from plane_detector.tools.replay.replay_bag import replay
-from plane_detector.tools.replay.writer import Draft, part_folder, replay_fields
+from plane_detector.tools.replay.writer import AtomicOutput, part_folder, replay_fields
 
 SUMMARY_NAME = 'summary.csv'
 FINISHED, DONE_BEFORE, FAILED = 'finished', 'done before', 'failed'
@@ -152,7 +152,7 @@ def replay_many(bags: Mapping[str, Path], options: ReplayOptions, jobs: int = -1
             f'a worker ended, at one of {", ".join(begun) or "the bags"}: '
             f'{type(error).__name__}: {" ".join(str(error).split())}. Whole bags are kept; '
             'the same command does the others') from error
-    with Draft(options.target / SUMMARY_NAME) as draft:
+    with AtomicOutput(options.target / SUMMARY_NAME) as draft:
         with open(draft.path, 'w', newline='', encoding='utf-8') as file:
             writer = csv.DictWriter(file, [field.name for field in fields(BagSummary)])
             writer.writeheader()

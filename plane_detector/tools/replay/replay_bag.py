@@ -48,7 +48,7 @@ from plane_detector.tools.replay.inputs import (
     transform_topics,
 )
 from plane_detector.tools.replay.options import NODE_NAME, ReplayOptions
-from plane_detector.tools.replay.writer import BagWriter, Draft, ReplayFiles
+from plane_detector.tools.replay.writer import AtomicOutput, BagWriter, ReplayFiles
 from plane_detector.types import Detection
 
 INTERRUPTED = 'interrupted_'  # prefix of the names of what an interrupted replay has made so far
@@ -195,7 +195,7 @@ def replay(options: ReplayOptions, quiet: bool = False) -> Tally:
         if not quiet:
             print(plain(text, _MOST_SHOWN), file=sys.stderr)
 
-    with BagReader(options.source) as bag, Draft(options.target) as draft:
+    with BagReader(options.source) as bag, AtomicOutput(options.target) as draft:
         if os.path.lexists(options.target):
             raise FileExistsError(f'{options.target} already exists: choose another name')
         inputs = choose_inputs(bag, options)

@@ -58,7 +58,7 @@ _LATCHED = [Qos(QosHistory.KEEP_LAST, 1, QosReliability.RELIABLE, QosDurability.
 _VERSION = 8
 
 
-class Draft:
+class AtomicOutput:
     """
     A file or folder that gets its name when it is whole; a context manager.
 
@@ -70,7 +70,7 @@ class Draft:
         self._target, self._folder = target, part_folder(target)
         self.path = self._folder / target.name
 
-    def __enter__(self) -> Draft:
+    def __enter__(self) -> AtomicOutput:
         self._folder.mkdir(parents=True, exist_ok=True)
         # A file, because NFS does not lock folders.
         self._lock = open(self._folder / 'lock', 'w', encoding='ascii')
@@ -220,7 +220,7 @@ class ReplayFiles:
         self._paths = {} if table is None else {'planes': table}
         if table is not None and shapes:
             self._paths['shapes'] = table.with_name(f'{table.stem}_shapes.csv')
-        self._tables: dict[str, tuple[Draft, TextIO]] = {}
+        self._tables: dict[str, tuple[AtomicOutput, TextIO]] = {}
         self._opened = ExitStack()
 
     def __enter__(self) -> ReplayFiles:
@@ -234,7 +234,7 @@ class ReplayFiles:
             with NamedTemporaryFile(dir=folder):
                 pass
         for name, path in self._paths.items():
-            draft = self._opened.enter_context(Draft(path))
+            draft = self._opened.enter_context(AtomicOutput(path))
             file = self._opened.enter_context(
                 open(draft.path, 'w', newline='', encoding='utf-8'))
             csv.writer(file).writerow(['frame', 'stamp', *csv_head(_ROWS[name])])
@@ -245,7 +245,7 @@ class ReplayFiles:
         self._opened.close()
 
     def publish(self, prefix: str = '') -> None:
-        """Give the tables their names, see :class:`Draft`."""
+        """Give the tables their names, see :class:`AtomicOutput`."""
         for draft, file in self._tables.values():
             file.flush()
             draft.publish(prefix)
