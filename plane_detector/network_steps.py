@@ -41,7 +41,6 @@ class NetworkSteps:
     """The steps of a stream of a network's depth, with the scale that its images share."""
 
     loops = ('network',)
-    uses_lines = True
 
     def __init__(self) -> None:
         self._scale: ScaleState | None = None

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from plane_detector import CameraIntrinsics, Config, PlaneDetector, pipeline, segment_planes
+from plane_detector import CameraIntrinsics, Config, PlaneDetector, network_steps, segment_planes
 from plane_detector.config import DepthConfig, DirectionsConfig, ScaleConfig
 from plane_detector.depth.observation import DepthFunction
 from plane_detector.evaluation.metrics import angle_deg, overlap
@@ -308,12 +308,12 @@ def test_the_lateral_noise_of_a_cell_averages_out_as_its_pixels_do(lateral_px):
 
 def test_an_uncertain_shift_lets_lines_turn_planes_back(monkeypatch):
     """Of exact depth whose shift is off by as much as stated: only the lines can tell."""
-    estimate, off_deg = pipeline.estimate_scale, []
+    estimate, off_deg = network_steps.estimate_scale, []
 
     def off(evidence, config):
         found = estimate(evidence, config)
         return replace(found, shift=found.shift + 0.02, angle_sigma_deg=4.0)
-    monkeypatch.setattr(pipeline, 'estimate_scale', off)
+    monkeypatch.setattr(network_steps, 'estimate_scale', off)
     for seed in (300, 301, 303, 306):
         scene = textured(random_room, seed, CENTRED)
         relative = ((1 / scene.depth_m + 0.1) / 0.4).astype(np.float32)
