@@ -407,6 +407,9 @@ class NodeConfig(Settings):
     points_color: str = setting(
         'image', 'colours of ~/points: those of the image, one per plane as in the markers '
         '(label), or both mixed as in the overlay', choices=('image', 'label', 'overlay'))
+    picture_rate: float = setting(
+        10.0, 'at most so many ~/markers, ~/overlay and ~/overlay/compressed a second, which are '
+        'for people; the last one always comes; 0: of every image', 'Hz', 0.0, 1000.0)
     mode: str = setting(
         'continuous', 'continuous: process the newest frame repeatedly; on_demand: one frame per '
         'call of ~/detect', choices=('continuous', 'on_demand'))

@@ -18,7 +18,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from plane_detector.geometry.robust import dilated, touching
+from plane_detector.geometry.robust import dilated, median, quantiles, touching
 
 FAR_DEVIATIONS = 3.0
 """A disparity below this many standard deviations does not determine a distance."""
@@ -123,7 +123,7 @@ def _clear_sky(small: np.ndarray, far: np.ndarray, is_even: np.ndarray) -> np.nd
     region = _at_the_top(is_even & _is_bright(small, _MIN_GREY, _MIN_BLUE_MINUS_RED))
     if _share(region) < _MIN_SHARE or not _whitens_downwards(small, region):
         return None
-    return region if np.mean(far[region] <= np.median(far)) >= _MIN_FAR_SHARE else None
+    return region if np.mean(far[region] <= median(far.ravel())) >= _MIN_FAR_SHARE else None
 
 
 def _overexposed_sky(small: np.ndarray, far: np.ndarray, is_even: np.ndarray) -> np.ndarray | None:
@@ -131,9 +131,10 @@ def _overexposed_sky(small: np.ndarray, far: np.ndarray, is_even: np.ndarray) ->
     region = _at_the_top(is_even & (darkest >= _OVEREXPOSED))
     if _share(region) < _MIN_SHARE or region.all():
         return None
-    farthest = far[region] <= np.quantile(far, max(0.25, _share(region)))
-    is_behind = np.median(far[region]) < _MOST_OF_REST * np.median(far[~region])
-    return region if is_behind and farthest.mean() >= _MIN_FARTHEST_SHARE else None
+    if not median(far[region]) < _MOST_OF_REST * median(far[~region]):
+        return None
+    (limit,) = quantiles(far.ravel(), (max(0.25, _share(region)),))
+    return region if np.mean(far[region] <= limit) >= _MIN_FARTHEST_SHARE else None
 
 
 def _flat_sky(small: np.ndarray, disparity: np.ndarray) -> np.ndarray | None:

@@ -4,11 +4,13 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
+from plane_detector._runtime.compilation import kernel
 from plane_detector.geometry.disparity import DEPTHS
 from plane_detector.types import CameraIntrinsics
 
@@ -135,6 +137,14 @@ def prepare_input(rgb: np.ndarray, size: tuple[int, int], recipe: InputRecipe) -
     if rgb.shape[1] >= _FIRST_REDUCED * inner[0] and rgb.shape[0] >= _FIRST_REDUCED * inner[1]:
         rgb = cv2.resize(np.ascontiguousarray(rgb), (2 * inner[0], 2 * inner[1]),
                          interpolation=cv2.INTER_AREA)
+    planes = np.empty((3, size[1], size[0]), np.float32)
+    scales, offsets = ([np.float32(value / std) for value, std in zip(
+        values, recipe.std, strict=True)] for values in ((recipe.scale,) * 3, recipe.mean))
+    if recipe.resize == 'area' and framing.is_whole and np.all(inner <= np.array(
+            rgb.shape[1::-1])):
+        rows = np.require(rgb, np.uint8, 'C').reshape(len(rgb), -1)
+        _shrink(rows, planes, np.array(scales), np.array(offsets))
+        return planes
     image = rgb.astype(np.float32, order='C')  # OpenCV does not take reversed or transposed views
     if inner != image.shape[1::-1]:
         shrinks = inner[0] * inner[1] < rgb.shape[0] * rgb.shape[1]
@@ -145,12 +155,39 @@ def prepare_input(rgb: np.ndarray, size: tuple[int, int], recipe: InputRecipe) -
         whole[:] = recipe.border_rgb
         framing.crop(whole)[:] = image
         image = whole
-    planes = np.empty((3, size[1], size[0]), np.float32)
     cv2.split(image, list(planes))  # half the time of reading channels with a stride
-    for plane, mean, std in zip(planes, recipe.mean, recipe.std, strict=True):
-        plane *= np.float32(recipe.scale / std)
-        plane -= np.float32(mean / std)
+    for plane, scale, offset in zip(planes, scales, offsets, strict=True):
+        plane *= scale
+        plane -= offset
     return planes
+
+
+@kernel("void(Array(uint8, 2, 'C', readonly=True), float32[:, :, ::1], float32[::1], "
+        "float32[::1])", subject='network')
+def _shrink(rows, planes, scales, offsets):
+    """Fill planes (3, h, w) with the means of areas of an image (H, 3 W), scaled, less offsets."""
+    height, width = planes.shape[1:]
+    down, across = len(rows) / height, rows.shape[1] / 3 / width
+    area, sums = down * across, np.empty(rows.shape[1], np.float32)
+    for v in range(height):
+        top, bottom = v * down, min((v + 1) * down, len(rows))
+        for k in range(len(sums)):
+            sums[k] = 0
+        for i in range(int(top), math.ceil(bottom - 1e-6)):
+            weight = np.float32((min(i + 1, bottom) - max(i, top)) / area)
+            for k in range(len(sums)):
+                sums[k] += weight * rows[i, k]
+        for u in range(width):
+            left, right = u * across, min((u + 1) * across, rows.shape[1] / 3)
+            red = green = blue = np.float32(0)
+            for i in range(int(left), math.ceil(right - 1e-6)):
+                weight = np.float32(min(i + 1, right) - max(i, left))
+                red += weight * sums[3 * i]
+                green += weight * sums[3 * i + 1]
+                blue += weight * sums[3 * i + 2]
+            planes[0, v, u] = red * scales[0] - offsets[0]
+            planes[1, v, u] = green * scales[1] - offsets[1]
+            planes[2, v, u] = blue * scales[2] - offsets[2]
 
 
 def finish_output(raw: np.ndarray, size: tuple[int, int], output: str) -> np.ndarray:

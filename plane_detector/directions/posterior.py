@@ -530,13 +530,12 @@ def _with_normal_error(evidence: Evidence) -> Evidence:
     """Return evidence with the error of its normals for which they are most likely."""
     if not len(evidence.normals):
         return evidence
-    grid = _coarse_grid()
+    grid = _sparse_grid()
     log_prior = grid.log_area + np.log(prior_density(
         grid.axes, Expected(), evidence, COARSE_ERROR_DEG, grid.mounted
     )[0].reshape(-1, 6).sum(axis=1)).reshape(grid.azimuths.shape)
-    is_near = np.abs(grid.tilts[:, 1]) < 3 * HELD_DEG[1]
-    log_prior, azimuths = log_prior[is_near, ::2], np.radians(grid.azimuths[is_near, ::2])
-    alone, bases = replace(evidence, lines=evidence.lines[:0]), grid.bases[is_near]
+    alone = replace(evidence, lines=evidence.lines[:0])
+    bases, azimuths = grid.bases, np.radians(grid.azimuths)
     tried = [replace(alone, normal_rad=np.radians(sigma_deg)) for sigma_deg in NORMAL_DEG]
     peaks = [(log_prior + sum(log_likelihood(bases, azimuths, one, np.radians(COARSE_ERROR_DEG)))
               ).max() for one in tried]
@@ -568,6 +567,17 @@ def _coarse_grid() -> _CoarseGrid:
     return _CoarseGrid(tilts[used], azimuths[used], bases[used],
                        np.where(is_closest, log_area[:, None], -np.inf)[used],
                        axes, _mounted(axes))
+
+
+@cache
+def _sparse_grid() -> _CoarseGrid:
+    """Return the coarse grid where the prior is, with every other azimuth."""
+    grid = _coarse_grid()
+    near, (count, azimuths) = np.abs(grid.tilts[:, 1]) < 3 * HELD_DEG[1], grid.azimuths.shape
+    return _CoarseGrid(
+        grid.tilts[near], grid.azimuths[near, ::2], grid.bases[near], grid.log_area[near, ::2],
+        grid.axes.reshape(count, azimuths, 6, 3)[near, ::2].reshape(-1, 3),
+        grid.mounted.reshape(5, count, azimuths, 6)[:, near, ::2].reshape(5, -1))
 
 
 def _frames(bases: np.ndarray, azimuths_deg: np.ndarray) -> np.ndarray:

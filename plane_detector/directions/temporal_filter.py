@@ -217,14 +217,12 @@ def turn_between_points(before: ImagePoints, after: ImagePoints) -> tuple[np.nda
     (rays_before, first), (rays_after, second) = before.found, after.found
     if first is None or second is None:
         return np.zeros(3), 0.0
-    matches = [match for match in cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True).match(
-        first, second) if match.distance < MOST_BITS]
-    if len(matches) < MIN_POINTS:
+    first, second, bits = _close_descriptors(first, second)
+    if len(bits) < MIN_POINTS:
         return np.zeros(3), 0.0
-    rays_before = rays_before[[match.queryIdx for match in matches]]
-    rays_after = rays_after[[match.trainIdx for match in matches]]
+    rays_before, rays_after = rays_before[first], rays_after[second]
     # The best matches come in the order of the points; pairs far apart in it are so in the image.
-    order = np.argsort([match.distance for match in matches], kind='stable')[:2 * HYPOTHESES]
+    order = np.argsort(bits, kind='stable')[:2 * HYPOTHESES]
     one, other = order[:len(order) // 2], order[::-1][:len(order) // 2]
     rotations = _from_pairs(rays_after[one], rays_after[other]) @ _from_pairs(
         rays_before[one], rays_before[other]).transpose(0, 2, 1)
@@ -239,6 +237,18 @@ def turn_between_points(before: ImagePoints, after: ImagePoints) -> tuple[np.nda
         rotation = cv2.Rodrigues(turn)[0] @ rotation
     follows = (np.linalg.norm(residual, axis=1) < MOST_SPREADS * POINT_SPREAD_RAD).mean()
     return cv2.Rodrigues(rotation)[0][:, 0], float(follows) * (follows > LEAST_FOLLOWING)
+
+
+def _close_descriptors(first: np.ndarray,
+                       second: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the descriptors that are mutual nearest neighbours, and the bits that differ."""
+    # A product of bits as -1 and 1 counts the equal ones, in half the time of OpenCV's matcher.
+    signs = [2 * np.unpackbits(one, axis=1).astype(np.float32) - 1 for one in (first, second)]
+    bits = (signs[0].shape[1] - signs[0] @ signs[1].T) / 2
+    best, back = bits.argmin(axis=1), bits.argmin(axis=0)
+    found = np.flatnonzero((back[best] == np.arange(len(best)))
+                           & (bits.min(axis=1) < MOST_BITS))
+    return found, best[found], bits[found, best[found]]
 
 
 def _from_pairs(first: np.ndarray, second: np.ndarray) -> np.ndarray:

@@ -166,7 +166,12 @@ def _rotated(regions: PixelRegions, normals: np.ndarray, offsets: np.ndarray,
     planes = np.linalg.solve(ray_plane_jacobian(intrinsics), -(normals / offsets[:, None]).T).T
     planes = np.ascontiguousarray(planes)
     lowest = np.where(changed, MIN_COSINE / offsets, -np.inf)
-    labels = _seen_from_front(regions.labels, regions.grid.planes_in_pixels(planes), lowest)
+    in_pixels = regions.grid.planes_in_pixels(planes)
+    height, width = regions.labels.shape
+    corners = [[u, v, 1.0] for v in (0, height - 1) for u in (0, width - 1)]
+    labels = regions.labels  # unless a plane is too far in a corner, and so may be elsewhere
+    if (in_pixels @ np.transpose(corners) < lowest[:, None]).any():
+        labels = _seen_from_front(labels, in_pixels, lowest)
     return replace(regions, labels=labels, coefficients=planes)
 
 
@@ -227,8 +232,10 @@ def _border_jumps(labels, disparity, slopes):
         for v in range(0, height - below, 4 - 3 * axis):
             for u in range(0, width - right, 1 + 3 * axis):
                 a, b = labels[v, u], labels[v + below, u + right]
+                if a == b or a < 0 or b < 0:
+                    continue
                 here, there = disparity[v, u], disparity[v + below, u + right]
-                if a == b or a < 0 or b < 0 or here <= 0 or there <= 0:
+                if here <= 0 or there <= 0:
                     continue
                 expected = 0.5 * reach * (slopes[a, axis] + slopes[b, axis])
                 pairs[a, b] += 1

@@ -18,6 +18,7 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticStatus
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
@@ -53,6 +54,7 @@ from plane_detector.ros.inputs.transforms import FrameTransforms, listen_to_tf
 from plane_detector.ros.live_map import LiveMap
 from plane_detector.ros.live_settings import LiveSettings, load_kernels
 from plane_detector.ros.outputs.frame import DetectedFrame
+from plane_detector.ros.outputs.pictures import PERIOD_S
 from plane_detector.ros.outputs.topics import OUTPUTS, OutputPublishers, frame_to_json
 from plane_detector.ros.point_query import PointQuery
 from plane_detector.ros.spinning import CannotRunError
@@ -117,6 +119,8 @@ class PlaneDetectorNode(LifecycleNode):
                                 callback_group=ReentrantCallbackGroup())
         self.create_service(Trigger, '~/reset_tracking', self._on_reset_tracking,
                             qos_profile=qos.service_profile())
+        self.create_timer(PERIOD_S, self._on_picture_timer,
+                          clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._diagnostics = DiagnosticsPublisher(self, self._statistics, self._describe)
         self._transitions = Transitions(self, self._load)
         if not self._live.settings.autostart:
@@ -251,6 +255,10 @@ class PlaneDetectorNode(LifecycleNode):
         response.message = ('labels and scale are reset with the next frame' if response.success
                             else 'the node is not configured')
         return response
+
+    def _on_picture_timer(self) -> None:
+        if self._flow is not None and self._inputs is not None:
+            self._flow.pictures.publish_late()
 
     # Diagnostics
 

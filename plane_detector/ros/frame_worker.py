@@ -30,7 +30,8 @@ from plane_detector.ros.frame_processor import FrameProcessor, make_messages, pl
 from plane_detector.ros.inputs.synchronizer import Frame, stamp_text
 from plane_detector.ros.live_settings import LiveSettings
 from plane_detector.ros.outputs.frame import DetectedFrame
-from plane_detector.ros.outputs.topics import OutputPublishers
+from plane_detector.ros.outputs.pictures import Pictures
+from plane_detector.ros.outputs.topics import OUTPUTS, OutputPublishers
 from plane_detector.ros.point_query import PointQuery
 
 Result, Item = TypeVar('Result'), TypeVar('Item')
@@ -227,6 +228,7 @@ class FrameFlow:
         self._processor: FrameProcessor | None = processor
         self._outputs, self._query, self._live = outputs, query, live
         self._records = records
+        self.pictures = Pictures(self._publish_pictures)
         self.worker = FrameWorker(self._begin, overlaps=processor.has_network)
 
     def accept(self, frame: Frame) -> None:
@@ -246,12 +248,14 @@ class FrameFlow:
     def drop(self) -> None:
         """Drop the frames being processed, their history, and the clicks that wait for one."""
         self.worker.drop()
+        self.pictures.drop()
         self._query.refuse_all()
         self._processor.detector.reset()
 
     def stop(self) -> None:
         """Drop all frames, release the network, and return at once."""
         self.worker.stop()
+        self.pictures.drop()
         self._processor = None
 
     def _begin(self, numbered: tuple[int, Frame]) -> Callable[[], None]:
@@ -270,7 +274,7 @@ class FrameFlow:
         statistics, requests, _, health = self._records
         try:
             found, wanted = find(), self._outputs.wanted()
-            messages = make_messages(found, wanted)
+            messages = make_messages(found, self.pictures.due(found, wanted))
             with current_stop().uncut():  # all of this or, after a stop, nothing of it
                 start_s = time.perf_counter()
                 self._outputs.publish(messages)
@@ -283,6 +287,14 @@ class FrameFlow:
                 requests.finish(number, True, found)
         except Exception as error:
             self._skip(number, frame, error)
+
+    def _publish_pictures(self, found: DetectedFrame) -> None:
+        """Publish the pictures of an image, in the thread of the executor."""
+        wanted = [name for name in self._outputs.wanted() if OUTPUTS[name].is_picture]
+        try:
+            self._outputs.publish(make_messages(found, wanted))
+        except Exception as error:  # as of any other frame
+            self._records.faults.report(error, f'pictures of {stamp_text(found)}')
 
     def _skip(self, number: int, frame: Frame, error: Exception) -> None:
         """Log why a frame has no result: one frame must not end the node."""

@@ -162,30 +162,32 @@ def _posterior(planes: DisparityPlanes, tau: np.ndarray, span: tuple[float, floa
     known = np.maximum(fit, 0.0) / length**2 + BUILDING_RAD**2
     votes = planes.pixel_share / (planes.pixel_share + HALF_VOTE_SHARE)
     of_slopes = SLOPE_DENSITY * (np.log(inverse) - 3 * np.log(length))
-    off = [_angles_to(normals, axes) for axes in frames]
-    log_mass = np.stack([
-        ((np.log(_density(*one, known + (share * (span[2] - span[0]) / length) ** 2))
-          + of_slopes) * votes).sum(1)
-        for share in SLOPE_ERRORS for one in off])
+    slope_errors = np.array(SLOPE_ERRORS)[:, None, None] * (span[2] - span[0]) / length
+    sharp = 1 / (known + slope_errors**2)
+    # A frame at a time: arrays of all of them do not fit into the cache.
+    log_mass = np.concatenate([
+        (np.log(_density(normals, axes, sharp)) + of_slopes) @ votes for axes in frames])
     log_mass = np.logaddexp.reduce(log_mass, axis=0) + _log_prior(tau, span)
     mass = np.exp(log_mass - log_mass.max())
     return mass / mass.sum()
 
 
-def _angles_to(normals: np.ndarray, axes: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Return the squared angles (T, N, A) of normals to axes, and (T, N) to horizontal."""
-    off = np.arccos(np.abs(normals @ axes.T).clip(0, 1))
-    return off**2, (np.pi / 2 - off[..., 0]) ** 2
+def _density(normals: np.ndarray, axes: np.ndarray, sharp: np.ndarray) -> np.ndarray:
+    """
+    Return the density (E, T, N) of normals relative to a uniform one on the half sphere.
 
-
-def _density(off: np.ndarray, off_level: np.ndarray, variance: np.ndarray) -> np.ndarray:
-    """Return the density (T, N) of normals relative to a uniform one on the half sphere."""
-    bells = np.exp(-0.5 * off / variance[..., None]) / variance[..., None]
-    circle = 2 / np.sqrt(2 * np.pi * variance) * np.exp(-0.5 * off_level / variance)
-    if off.shape[2] == 1:
-        return FREE_SHARE + LEVEL_SHARE * bells[..., 0] + (UPRIGHT_SHARE + AXIS_SHARE) * circle
-    return (FREE_SHARE + LEVEL_SHARE * bells[..., 0] + AXIS_SHARE * bells[..., 1:].mean(2)
-            + UPRIGHT_SHARE * circle)
+    Parameters are the normals (T, N, 3), axes (A, 3), the first one vertical, and inverse
+    variances (E, T, N).
+    """
+    off = np.arccos(np.abs(axes @ normals.reshape(-1, 3).T).clip(0, 1))
+    off = off.reshape(len(axes), *normals.shape[:2])
+    level, *across = (np.exp(square * sharp) for square in -0.5 * off**2)
+    circle = np.sqrt(2 / np.pi * sharp) * np.exp(-0.5 * (np.pi / 2 - off[0]) ** 2 * sharp)
+    along = LEVEL_SHARE * level
+    for bell in across:
+        along += AXIS_SHARE / len(across) * bell
+    upright = UPRIGHT_SHARE if across else UPRIGHT_SHARE + AXIS_SHARE
+    return FREE_SHARE + along * sharp + upright * circle
 
 
 def _log_prior(tau: np.ndarray, span: tuple[float, float, float]) -> np.ndarray:

@@ -78,3 +78,27 @@ def test_a_large_image_is_reduced_without_aliasing():
     stripes[:, ::2] = 200
     given = prepare_input(stripes, (160, 120), InputRecipe(1.0, (0.0,) * 3, (1.0,) * 3))
     np.testing.assert_allclose(given, 100, atol=1)
+
+
+@pytest.mark.parametrize('size, input_size', [
+    ((640, 480), (224, 224)), ((641, 363), (224, 224)), ((1280, 720), (416, 224)),
+    ((320, 240), (320, 224)), ((224, 224), (224, 224)), ((3, 500), (2, 7))])
+def test_an_area_of_the_image_becomes_its_mean(size, input_size):
+    """The mean of what a pixel of the input covers, parts of pixels by their share."""
+    rng, (width, height) = np.random.default_rng(size[0]), input_size
+    rgb = rng.integers(0, 256, (*size[::-1], 3), dtype=np.uint8)
+
+    def shares(many, few):
+        ends = np.arange(few + 1) * many / few
+        covered = np.minimum(ends[1:, None], np.arange(many) + 1) - np.maximum(
+            ends[:-1, None], np.arange(many))
+        return covered.clip(0) * few / many
+
+    means = np.einsum('yv,xu,vuc->cyx', shares(size[1], height), shares(size[0], width),
+                      rgb.astype(float), optimize=True)
+    expected = (means / 255 - np.reshape(IMAGENET_MEAN, (3, 1, 1))) / np.reshape(
+        IMAGENET_STD, (3, 1, 1))
+    recipe = InputRecipe(1 / 255, IMAGENET_MEAN, IMAGENET_STD, 'area')
+    np.testing.assert_allclose(prepare_input(rgb, input_size, recipe), expected, atol=2e-5)
+    np.testing.assert_array_equal(prepare_input(rgb[:, ::-1], input_size, recipe),
+                                  prepare_input(rgb[:, ::-1].copy(), input_size, recipe))

@@ -80,7 +80,8 @@ def test_outputs_without_subscriber_are_not_computed(room, monkeypatch):
 def test_diagnostics(robot, room, monkeypatch):
     monkeypatch.setattr(diagnostics, '_PERIOD_S', PERIOD_S)
     node = start(robot, lambda rgb: room.depth_m)
-    assert [timer.timer_period_ns for timer in node.timers] == [1_000_000_000]
+    # Of late pictures and of the diagnostics.
+    assert [timer.timer_period_ns for timer in node.timers] == [100_000_000, 1_000_000_000]
     send(robot, room)
     robot.wait_for('planes')
     assert robot.spin(lambda: robot.diagnosis()[1]['frames_processed'] == '1')

@@ -49,12 +49,14 @@ class Output(NamedTuple):
     Type of a topic's messages, and the function that makes one from the source of the table.
 
     It returns None if the message is not available now. Outputs that are ``placed`` are in the
-    target frame, and need its pose.
+    target frame, and need its pose. A ``picture`` is for people, who need no more than
+    ``picture_rate``.
     """
 
     msg_type: Any
     make: Callable[[Any], Any]
     is_placed: bool = True
+    is_picture: bool = False
 
 
 def frame_to_json(frame: DetectedFrame) -> str:
@@ -73,15 +75,15 @@ OUTPUTS: dict[str, Output] = {
     'planes_json': Output(String, lambda frame: String(data=frame_to_json(frame))),
     'plane_poses': Output(PoseArray, lambda frame: messages.poses_to_msg(
         frame.target_header, frame.planes)),
-    'markers': Output(MarkerArray, markers_to_msg),
+    'markers': Output(MarkerArray, markers_to_msg, is_picture=True),
     'labels': Output(Image, lambda frame: messages.labels_to_msg(frame.header, frame.labels),
                      is_placed=False),
     'depth': Output(Image, lambda frame: messages.depth_to_msg(
         frame.header, frame.detection.depth_m), is_placed=False),
     'overlay': Output(Image, lambda frame: messages.rgb_to_msg(frame.header, frame.overlay),
-                      is_placed=False),
+                      is_placed=False, is_picture=True),
     'overlay/compressed': Output(CompressedImage, lambda frame: messages.jpeg_to_msg(
-        frame.header, frame.overlay), is_placed=False),
+        frame.header, frame.overlay), is_placed=False, is_picture=True),
     'camera_info': Output(CameraInfo, lambda frame: camera_info_to_msg(
         frame.header, frame.intrinsics, frame.distortion), is_placed=False),
     'shapes': Output(PointCloud2, shapes_to_msg),
