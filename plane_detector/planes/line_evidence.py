@@ -37,7 +37,6 @@ class LineEvidence:
     # (K, A) float64: share of the line length in each region along each axis; reduced if the
     # length is small
     shares: np.ndarray
-    lengths: np.ndarray  # (K,) float64: of all lines in each region, at unit focal length
 
     def allows(self) -> np.ndarray:
         """
@@ -71,8 +70,8 @@ class RegionLines:
         sine = np.abs(misalignment(self.segments, axes))
         along = np.arange(len(axes)) == sine.argmin(1)[:, None]
         along &= sine < np.sin(np.radians(AXIS_TOLERANCE_DEG))
-        total = self.lengths.sum(1)
-        return LineEvidence(axes, self.lengths @ along / (total + HALF_LENGTH)[:, None], total)
+        total = self.lengths.sum(1, keepdims=True) + HALF_LENGTH
+        return LineEvidence(axes, self.lengths @ along / total)
 
 
 def lines_in_regions(segments: LineSegments, labels: np.ndarray, count: int) -> RegionLines:

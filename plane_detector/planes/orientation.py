@@ -22,6 +22,9 @@ those of the lines, or those of the planes themselves (plane_axes.py).
 5. The most likely hypothesis is fused with the network's normal, weighted by their variances.
 6. The probability that it is right is the sum over the hypotheses of this direction, less what
    the freedom of a circle or of the sphere leaves to the error of the network.
+7. Its class is right with the probability of the hypotheses of that class, divided by one plus the
+   odds that the region is no plane of that direction: the network's depth is far from it, or bent
+   and the region small, or of many colours.
 """
 
 from __future__ import annotations
@@ -35,21 +38,22 @@ from plane_detector.directions.vanishing import SceneDirections
 from plane_detector.geometry.rigid_transform import unit_vectors
 from plane_detector.planes.classification import LEAST_SIGMA_RAD, TOLERANCE_DEG
 from plane_detector.planes.line_evidence import MAIN_AXES, LineEvidence
-from plane_detector.planes.region_samples import RegionSamples
+from plane_detector.planes.region_samples import MIN_COSINE, RegionSamples
 from plane_detector.types import Planes
 
 # tuned: python -m plane_detector.evaluation.benchmark orientation: the results stay within one
 # degree when any of these is doubled or halved.
 LEVEL_PRIOR, AXIS_PRIOR, UPRIGHT_PRIOR, ROOF_PRIOR, FREE_PRIOR = 0.25, 0.2, 0.2, 0.05, 0.1
-# For the class, the odds against any along an axis. Clutter (people, plants, food) is small and
-# bent: bend over CLUTTER_BEND times the root of the share of the image. A piece that mixes several
-# surfaces is bent and has lines inside: the product of its bend, the length of its lines over its
-# size, and MIXED_LINES, to the power of MIXED_POWER. A piece without lines counts as if it had
-# FEWEST_LINES. fitted: maximum likelihood of the class, 4000 pieces of every second frame of four
-# walks (Kinect, rendered) and rooms through fastdepth, and of sensors' depth with the errors of a
-# network; flat in the power from 2 to 3. On the other half what is stated as 0.55, 0.65, 0.75 and
-# 0.95 is right in 0.57, 0.66, 0.74 and 0.97.
-CLUTTER_BEND, MIXED_LINES, MIXED_POWER, FEWEST_LINES = 1.15, 2.2, 2.5, 0.03
+# For the class, the odds that a piece is clutter or mixes several surfaces: the square of its
+# misfit over MIXED_MISFIT, plus its bend over CLUTTER_BEND times the root of its share of the
+# image; both times the root of the number of its colours. The misfit is how far the network's
+# depth is from the oriented plane (log ratio of depths); that of a level plane is divided by the
+# cosine between it and its rays, since what seems level near the horizon seldom is. fitted:
+# maximum likelihood of the class of pixels, 5000 pieces of every second frame of five walks and
+# rooms (Kinect, rendered) through fastdepth, and of sensors' depth with the errors of a network;
+# free powers are 2.1, 4 (cosine) and 0.5, and no better on the other half. There what is stated as
+# 0.55, 0.65, 0.75, 0.85 and 0.95 is right in 0.62, 0.66, 0.77, 0.86 and 0.94.
+MIXED_MISFIT, CLUTTER_BEND = 0.94, 4.5
 # Log likelihood lost if all lines in a plane contradict it. tuned: as above, flat from 12 to 14;
 # with half of it pictures on walls, which networks treat as windows, are rotated across the walls.
 LINE_WEIGHT = 12.0
@@ -121,7 +125,7 @@ class ScoredOrientations:
     scores: np.ndarray
     sigma_rad: float  # that error
     variances: np.ndarray  # (K,) float64: of the network's normals for it, rad^2
-    free_odds: np.ndarray  # (K,) float64: that a piece has no class, by bend, size and lines
+    bends: np.ndarray  # (K,) float64: distance of regions from their planes over their size
     log_evidence: float  # log likelihood of these axes by all normals of the network
 
 
@@ -159,13 +163,16 @@ def score_orientations(planes: Planes, directions: SceneDirections,
     evidence_of = np.logaddexp.reduce(scores, axis=2).sum(axis=1) + prior
     best = int(np.argmax(evidence_of))
     return ScoredOrientations(directions, hypotheses, scores[best], SIGMAS_RAD[best],
-                              variances[best],
-                              _free_odds(_bends(planes, samples), evidence.lengths, samples),
-                              float(evidence_of[best]))
+                              variances[best], _bends(planes, samples), float(evidence_of[best]))
 
 
-def most_likely(scored: ScoredOrientations, samples: RegionSamples) -> Orientations:
-    """Return the most likely normal of every plane, and how probable it is."""
+def most_likely(scored: ScoredOrientations, samples: RegionSamples,
+                colours: np.ndarray) -> Orientations:
+    """
+    Return the most likely normal of every plane, and how probable it is.
+
+    The numbers of colours (K,) in the regions show which of these mix several surfaces.
+    """
     hypotheses, variances = scored.hypotheses, scored.variances
     every = np.arange(len(variances))
     alone = hypotheses.normals[every, scored.scores.argmax(1)]
@@ -183,19 +190,22 @@ def most_likely(scored: ScoredOrientations, samples: RegionSamples) -> Orientati
     # Whichever axis is down, the class has at least the least of their probabilities.
     of_class = np.min([
         _class_probability(hypotheses, posterior, normals, axis, variances)
+        / (1 + _mixed_odds(scored.bends, normals, axis, samples, colours))
         for axis in ([scored.directions.main_axis, *pairs] if down is None else [down])], axis=0)
     return Orientations(
         normals, hypotheses.freedoms[chosen] < 2, np.sqrt(variances),
-        _probability(hypotheses, posterior, chosen, variances), of_class / (1 + scored.free_odds))
+        _probability(hypotheses, posterior, chosen, variances), of_class)
 
 
-def _free_odds(bends: np.ndarray, line_lengths: np.ndarray,
-               samples: RegionSamples) -> np.ndarray:
+def _mixed_odds(bends: np.ndarray, normals: np.ndarray, down: np.ndarray, samples: RegionSamples,
+                colours: np.ndarray) -> np.ndarray:
     """Return the odds (K,) that pieces are clutter or mix several surfaces."""
-    shares = np.maximum(samples.image_shares, 1e-6)
-    lines = np.maximum(line_lengths / np.sqrt(shares * samples.image_area), FEWEST_LINES)
-    return (bends / (CLUTTER_BEND * np.sqrt(shares))
-            + (MIXED_LINES * bends * lines) ** MIXED_POWER)
+    misfits = samples.distances_to_planes(normals, samples.offsets(normals)).diagonal()
+    cosine = -(unit_vectors(samples.middles) * normals).sum(1)
+    is_level = np.abs(normals @ down) >= np.cos(np.radians(TOLERANCE_DEG))
+    misfits = misfits / np.where(is_level, np.maximum(cosine, MIN_COSINE), 1.0)
+    clutter = bends / (CLUTTER_BEND * np.sqrt(np.maximum(samples.image_shares, 1e-6)))
+    return ((misfits / MIXED_MISFIT) ** 2 + clutter) * np.sqrt(colours)
 
 
 def _class_probability(hypotheses: _Hypotheses, posterior: np.ndarray, normals: np.ndarray,

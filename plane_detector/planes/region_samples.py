@@ -37,7 +37,6 @@ class RegionSamples:
     # the ray
     own_cosine: np.ndarray
     image_shares: np.ndarray  # (K,) float64: share of the image that each region covers
-    image_area: float  # of the whole image at unit focal length
 
     @property
     def count(self) -> int:
@@ -107,7 +106,7 @@ class RegionSamples:
         order = np.argsort(region, kind='stable')
         shares = np.bincount(group, self.image_shares, self.count)
         return RegionSamples(self.rays[order], self.disparity[order], region[order],
-                             self.own_cosine[order], shares, self.image_area)
+                             self.own_cosine[order], shares)
 
 
 def sample_regions(regions: PixelRegions, planes: Planes,
@@ -124,8 +123,7 @@ def sample_regions(regions: PixelRegions, planes: Planes,
     rays = np.stack([ray_x[column], ray_y[row], np.ones(len(row))], axis=1)
     shares = np.bincount(region, minlength=len(planes)) / labels.size
     return RegionSamples(rays, disparity[row, column].astype(float), region,
-                         -np.einsum('ij,ij->i', planes.normals[region], rays), shares,
-                         labels.size * step**2 / (intrinsics.fx * intrinsics.fy))
+                         -np.einsum('ij,ij->i', planes.normals[region], rays), shares)
 
 
 @kernel('float64[:, ::1](float64[:, ::1], int64[::1], float64[::1], float64[:, :, ::1])',

@@ -19,6 +19,7 @@ from plane_detector.planes.orientation import (
     normal_variances,
     score_orientations,
 )
+from plane_detector.planes.patches import colours_in_regions
 from plane_detector.planes.plane_axes import OWN_SIGMA_RAD, PLANE_VOTE, axes_of_planes
 from plane_detector.planes.region_samples import MIN_COSINE, sample_regions
 from plane_detector.segmentation.cells.labels import rename_labels
@@ -121,7 +122,8 @@ def reorient(regions: PixelRegions, planes: Planes, lines: ImageDirections,
         other, log_odds = scored(lines, shifted[0]), shifted[1]
         if other.log_evidence - best.log_evidence + log_odds > 0:
             best = with_own_axes(other, shifted[0])
-    found = most_likely(best, samples)
+    found = most_likely(best, samples, colours_in_regions(regions.labels, regions.patches,
+                                                          len(planes)))
     refitted = samples.offsets(found.normals)
     changed = found.is_changed & np.isfinite(refitted)
     normals[changed], offsets[changed] = found.normals[changed], refitted[changed]

@@ -40,7 +40,7 @@ def turned(normal, angle_deg, about):
 
 
 def no_lines(count):
-    return LineEvidence(AXES, np.zeros((count, 3)), np.zeros(count))
+    return LineEvidence(AXES, np.zeros((count, 3)))
 
 
 def samples_of(planes, rays):
@@ -49,7 +49,7 @@ def samples_of(planes, rays):
     cosine = np.concatenate([-rays @ p.normal for p in planes])
     return RegionSamples(np.tile(rays, (len(planes), 1)), bent(cosine / 2.0),
                          np.repeat(np.arange(len(planes)), len(rays)), cosine,
-                         np.full(len(planes), SHARE), 1.0)
+                         np.full(len(planes), SHARE))
 
 
 def bent(disparity):
@@ -63,8 +63,9 @@ def orient(planes, found, evidence):
     count = len(planes)
     spots = RegionSamples(np.stack([-p.normal for p in planes]).repeat(2, axis=0),
                           bent(np.full(2 * count, 0.5)), np.arange(count).repeat(2),
-                          np.ones(2 * count), np.full(count, SHARE), 1.0)
-    return most_likely(score_orientations(Planes.of(planes), found, evidence, spots), spots)
+                          np.ones(2 * count), np.full(count, SHARE))
+    return most_likely(score_orientations(Planes.of(planes), found, evidence, spots), spots,
+                       np.ones(count))
 
 
 def test_planes_near_an_axis_are_turned_to_it():
@@ -79,43 +80,61 @@ def test_a_floor_faces_the_camera_even_if_the_network_sees_it_lean_over():
     below = [[x, y, 1.0] for x in (-0.3, 0.0, 0.3) for y in (0.6, 0.7)]
     leaning = plane(turned(-AXES[2], 5, AXES[1]))
     assert leaning.normal @ AXES[0] > 0
-    lines = LineEvidence(AXES, np.array([[0.0, 0.5, 0.45]]), np.ones(1))
+    lines = LineEvidence(AXES, np.array([[0.0, 0.5, 0.45]]))
     pieces = replace(samples_of((leaning,), below), image_shares=np.array([0.01]))
     planes = Planes.of([leaning])
-    found = most_likely(score_orientations(planes, directions(), lines, pieces), pieces)
+    found = most_likely(score_orientations(planes, directions(), lines, pieces), pieces,
+                        np.ones(1))
     assert angle_deg(found.normals[0], -AXES[0]) < 1
 
 
+def grid_of_rays(x, y, half=0.2):
+    """Return rays (36, 3) about the pixel at (x, y) of the image at unit focal length."""
+    side = np.linspace(-half, half, 6)
+    return [[x + dx, y + dy, 1.0] for dx in side for dy in side]
+
+
+def class_probability(true_normal, network_normal, rays, bend=0.1, colours=1.0):
+    """Return that of a plane whose depth is that of the network's normal, with some bend."""
+    seen = plane(network_normal)
+    samples, planes = samples_of((seen,), rays), Planes.of([seen])
+    flat = samples.own_cosine / seen.offset_m
+    samples = replace(samples, disparity=flat + bend * (samples.disparity - flat))
+    found = most_likely(score_orientations(planes, directions(), no_lines(1), samples), samples,
+                        np.array([colours]))
+    assert angle_deg(found.normals[0], true_normal) < 1
+    return found.class_probability[0]
+
+
 def test_the_more_a_piece_is_bent_the_less_sure_is_its_class():
-    wall = plane(turned(-AXES[2], 10, AXES[1]))
-    rays = [[x, y, 1.0] for x in (-0.01, 0.01) for y in (-0.01, 0.01)]
-    samples, planes = samples_of((wall,), rays), Planes.of([wall])
-
-    def of_class(bend):
-        flat = samples.own_cosine / wall.offset_m
-        own = replace(samples, disparity=flat + bend * (samples.disparity - flat))
-        return most_likely(score_orientations(planes, directions(), no_lines(1), own),
-                           own).class_probability[0]
-
-    assert of_class(0.1) > 0.9
-    assert of_class(0.3) > of_class(1.0) > of_class(2.0)
-    assert of_class(2.0) < 0.75
+    near, rays = turned(-AXES[2], 10, AXES[1]), grid_of_rays(0, 0, 0.01)
+    flat, less, more, most = (class_probability(-AXES[2], near, rays, bend, colours=3.0)
+                              for bend in (0.1, 0.3, 1.0, 2.0))
+    assert flat > 0.9
+    assert less > more > most
+    assert most < 0.75
 
 
-@pytest.mark.parametrize('lines', [0.0, 0.2, 1.0])
-def test_lines_inside_a_bent_piece_show_that_it_mixes_surfaces(lines):
-    wall = plane(turned(-AXES[2], 10, AXES[1]))
-    rays = [[x, y, 1.0] for x in (-0.01, 0.01) for y in (-0.01, 0.01)]
-    samples, planes = samples_of((wall,), rays), Planes.of([wall])
+def test_the_farther_the_depth_is_from_the_plane_the_less_sure_is_its_class():
+    """The same turn changes the depth of a wide piece by more, as a share."""
+    narrow, wide = (class_probability(-AXES[2], turned(-AXES[2], 20, AXES[1]),
+                                      grid_of_rays(0, 0, half), bend=0.3) for half in (0.02, 0.4))
+    assert wide < narrow - 0.02
 
-    def of_class(own, lengths):
-        evidence = LineEvidence(AXES, np.zeros((1, 3)), np.array([lengths]))
-        return most_likely(score_orientations(planes, directions(), evidence, own),
-                           own).class_probability[0]
 
-    flat = replace(samples, disparity=samples.own_cosine / wall.offset_m)
-    assert of_class(flat, lines) == pytest.approx(of_class(flat, 0.0))
-    assert of_class(samples, lines) > of_class(samples, lines + 0.5)
+def test_the_more_colours_a_piece_has_the_less_sure_is_its_class():
+    near, rays = turned(-AXES[2], 10, AXES[1]), grid_of_rays(0, 0, 0.01)
+    one, many = (class_probability(-AXES[2], near, rays, 1.0, colours) for colours in (1.0, 16.0))
+    assert many < one - 0.1
+
+
+def test_a_level_piece_near_the_horizon_is_less_sure_than_one_below():
+    """Both are as far from the network's depth, as shares of the depth."""
+    def seen_at(height):
+        rays = [[height * x, height, 1.0] for x in np.linspace(-0.2, 0.2, 36)]
+        return class_probability(-AXES[0], -AXES[0], rays, bend=2.0)
+
+    assert seen_at(0.2) < seen_at(1.0) - 0.05
 
 
 def test_an_accurate_network_keeps_a_roof_and_an_open_door():
@@ -136,7 +155,7 @@ def test_lines_along_an_axis_are_in_no_plane_across_it(line, expected):
         between = turned(-AXES[2], 45, AXES[0])
     shares = np.zeros((1, 3))
     shares[0, line] = 0.8
-    found = orient((plane(between, 8.0),), directions(), LineEvidence(AXES, shares, np.ones(1)))
+    found = orient((plane(between, 8.0),), directions(), LineEvidence(AXES, shares))
     assert abs(found.normals[0] @ AXES[expected]) > 0.999
 
 
@@ -144,7 +163,7 @@ def test_lines_outvote_a_normal_that_is_plainly_wrong():
     wrong = turned(turned(-AXES[2], 68, -AXES[0]), 35, AXES[2])
     if wrong @ AXES[1] < 0:
         wrong = turned(turned(-AXES[2], 68, AXES[0]), 35, AXES[2])
-    evidence = LineEvidence(AXES, np.array([[0.45, 0.3, 0.0]]), np.ones(1))
+    evidence = LineEvidence(AXES, np.array([[0.45, 0.3, 0.0]]))
     found = orient((plane(wrong, 20.0),), directions(), evidence)
     assert abs(found.normals[0] @ AXES[2]) > 0.999
 
@@ -163,7 +182,7 @@ def test_a_piece_that_noise_cuts_out_of_a_wall_is_the_wall(depth_share, expected
     samples = replace(samples, disparity=(disparity * noise).ravel(),
                       image_shares=np.array([0.3, 0.1, 0.1, 0.1, 0.1, 0.005]))
     scored = score_orientations(Planes.of(planes), directions(), no_lines(len(planes)), samples)
-    found = most_likely(scored, samples)
+    found = most_likely(scored, samples, np.ones(len(planes)))
     assert angle_deg(found.normals[-1], wall.normal) == pytest.approx(expected_deg, abs=1.0)
 
 
