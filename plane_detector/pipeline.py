@@ -304,8 +304,10 @@ class PlaneDetector:
                         _with_facets(planes, valid, seen.intrinsics, config))
             ground = find_ground(surfaces, depth_m, seen.intrinsics, gravity, config, state.reach,
                                  plane_count=len(planes.planes), is_metric=scale.is_metric,
-                                 doubt=seen.doubt)
+                                 doubt=seen.doubt, constants_m=seen.constants_m)
             state.reach = ground.reach
+            if ground.fronts is not None:
+                depth_m = np.where(ground.fronts, seen.constants_m, depth_m)
             planes = replace(planes, planes=replace(
                 planes.planes, classes=ground.classes[:len(planes.planes)]))
         with timer('tracking'):
@@ -324,7 +326,7 @@ class PlaneDetector:
                          plane_note=planes.plane_note, depth_m=depth_m,
                          scale_method=scale.unit_method, is_measured=seen.is_measured,
                          scale_note=_joined([str(scale), input_note]), input_note=input_note,
-                         constant_note=seen.constant_note,
+                         constant_note=_joined([seen.constant_note, ground.constant_note]),
                          scale_event=state.scale.event, shapes=shapes,
                          shape_labels=shape_labels, shape_note=shape_note,
                          gravity_camera=around.gravity.gravity_camera,

@@ -416,7 +416,8 @@ class Detection(PlaneSegmentation):
     scale_method: str  # ``metric``, ``fixed``, ...: metres; ``relative``: in an unknown unit
     # The depth is of a sensor, not of a network.
     is_measured: bool = field(default=True, kw_only=True)
-    # How many pixels repeat which depth exactly and were dropped; empty if none.
+    # How many pixels repeat which depth exactly and were dropped, and which of them are obstacles
+    # nevertheless; empty if none.
     constant_note: str = field(default='', kw_only=True)
     stage_seconds: Mapping[str, float] = field(default_factory=dict)
     scale_note: str = ''  # result of the scale method with its uncertainty, or why there is none
