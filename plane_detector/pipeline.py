@@ -314,8 +314,11 @@ class PlaneDetector:
             ground = find_ground(surfaces, depth_m, observation.intrinsics, gravity, config,
                                  state.reach, plane_count=len(planes.planes),
                                  is_metric=scale.is_metric,
-                                 doubt=observation.scale_warning)
+                                 doubt=observation.scale_warning,
+                                 constants_m=observation.constants_m)
             state.reach = ground.reach
+            if ground.fronts is not None:
+                depth_m = np.where(ground.fronts, observation.constants_m, depth_m)
             planes = replace(planes, planes=replace(
                 planes.planes, classes=ground.classes[:len(planes.planes)]))
         with timer('tracking'):
@@ -331,7 +334,8 @@ class PlaneDetector:
                          systematic_noise=planes.systematic_noise, plane_note=planes.plane_note,
                          gravity=surroundings.gravity, ground_result=ground.result,
                          is_measured=observation.is_measured,
-                         constant_note=observation.constant_note, input_note=input_note,
+                         constant_note=_joined([observation.constant_note,
+                                                ground.constant_note]), input_note=input_note,
                          scale_event=scale_event, shapes=shapes,
                          shape_labels=shape_labels, shape_note=shape_note,
                          stage_seconds=timer.seconds)

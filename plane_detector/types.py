@@ -499,7 +499,8 @@ class Detection(PlaneSegmentation):
     ground_result: GroundResult = field(default_factory=GroundResult, kw_only=True)
     # The depth is of a sensor, not of a network.
     is_measured: bool = field(default=True, kw_only=True)
-    # How many pixels repeat which depth exactly and were dropped; empty if none.
+    # How many pixels repeat which depth exactly and were dropped, and which of them are obstacles
+    # nevertheless; empty if none.
     constant_note: str = field(default='', kw_only=True)
     # What speaks against the camera, its depth or its gravity as given, with the remedy; empty if
     # nothing does.

@@ -111,7 +111,11 @@ class Observation:
     def restricted_to(self, covered: np.ndarray) -> Observation:
         """Return the observation, invalid where ``covered`` (H, W) bool is False."""
         values = np.where(covered, self.prediction.values, np.float32(np.nan))
-        return replace(self.with_values(values), covered=covered)
+        constants_m = self.constants_m
+        if constants_m is not None:
+            constants_m = np.where(covered, constants_m, np.float32(np.nan))
+            constants_m = constants_m if np.isfinite(constants_m).any() else None
+        return replace(self.with_values(values), covered=covered, constants_m=constants_m)
 
 
 @dataclass(frozen=True)

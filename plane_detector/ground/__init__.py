@@ -23,7 +23,8 @@ Planes give the levels and slopes, pixels what lies on them. The steps, as in `g
    error, is ground. So is one without a plane to which the way leads without a step: what is
    behind a ramp may be too small for a plane. Every other one is an obstacle, but for specks and
    flying pixels (`obstacles`). A plane that is not ground differs from it by all its pixels: of
-   these only the foot is ground.
+   these only the foot is ground. Depth that was removed because it repeats exactly is an obstacle
+   if it is nearer than what is seen elsewhere and not below the ground.
 5. Drops: where the ground ends on a way and the next surface seen is lower. An obstacle that is
    met first hides what is behind it: nothing is claimed there. Where nothing at all is seen behind
    the end of the ground, near enough that a floor would be seen, the ground ends too, unless the

@@ -23,7 +23,12 @@ from plane_detector.ground.along_ways import (
     mark_ground,
     rows_of,
 )
-from plane_detector.ground.obstacles import height_errors, mark_obstacles, without_box
+from plane_detector.ground.obstacles import (
+    find_fronts,
+    height_errors,
+    mark_obstacles,
+    without_box,
+)
 from plane_detector.ground.ways import Ways, ways_over_ground
 from plane_detector.planes.classification import (
     PlaneClass,
@@ -111,6 +116,8 @@ class Ground:
     # the ground of the image and the drops, in the optical frame
     result: GroundResult | SeenGround
     reach: SensorReach  # with what this image shows of it
+    fronts: np.ndarray | None = None  # (H, W) bool, constants in depth that are obstacles
+    constant_note: str = ''  # what constants in depth may be
 
 
 @dataclass(frozen=True)
@@ -395,7 +402,8 @@ def _is_ragged(last: np.ndarray, following: np.ndarray, depth_m: np.ndarray,
 
 def find_ground(found: PlaneSegmentation, depth_m: np.ndarray, intrinsics: CameraIntrinsics,
                 gravity: Gravity, config: Config, reach: SensorReach = NO_REACH, *,
-                plane_count: int | None = None, is_metric: bool = True, doubt: str = '') -> Ground:
+                plane_count: int | None = None, is_metric: bool = True, doubt: str = '',
+                constants_m: np.ndarray | None = None) -> Ground:
     """
     Find the ground of an image.
 
@@ -418,6 +426,8 @@ def find_ground(found: PlaneSegmentation, depth_m: np.ndarray, intrinsics: Camer
         the classes, and there are neither ground nor drops, nor steps.
     doubt : str
         Why lengths mean nothing, which then is the note instead of drops.
+    constants_m : (H, W) float32, optional
+        Depth that repeats exactly and was removed, NaN elsewhere.
 
     Returns
     -------
@@ -436,8 +446,10 @@ def find_ground(found: PlaneSegmentation, depth_m: np.ndarray, intrinsics: Camer
     known_m = config.scale.camera_height if is_metric else 0.0
     depth_m, rays = np.ascontiguousarray(depth_m, np.float32), pixel_rays(intrinsics)
     if any(limits.ignore_box):
-        depth_m, labels = without_box(depth_m, labels, *rays,
-                                      np.array(limits.ignore_box, np.float32))
+        box = np.array(limits.ignore_box, np.float32)
+        if constants_m is not None:
+            constants_m, _ = without_box(constants_m, labels, *rays, box)
+        depth_m, labels = without_box(depth_m, labels, *rays, box)
     ways = _ways(intrinsics, *np.round(gravity.gravity_camera / WAY_STEP).tolist())
     seen = depth_m, labels, rays
     down, own = own_floor(found, seen, ways, gravity, limits.max_slope, known_m, plane_count)
@@ -463,9 +475,11 @@ def find_ground(found: PlaneSegmentation, depth_m: np.ndarray, intrinsics: Camer
         reach = reach.extended(depth_m, intrinsics, config.depth.max_depth)
         pixels = replace(pixels, reach=reach)
     if own is None:
-        return Ground(classify_planes(found.planes, down),
-                      pixels if is_metric else _nothing(labels, pixels.doubt, GroundLack.UNIT,
-                                                        tilt_deg), reach)
+        classes = classify_planes(found.planes, down)
+        if not is_metric:
+            return Ground(classes, _nothing(labels, pixels.doubt, GroundLack.UNIT, tilt_deg),
+                          reach)
+        return Ground(classes, *_with_fronts(pixels, constants_m))
     height_m = float(surfaces.heights()[own])
     unit_m = 1.0 if is_metric else height_m
     # 3. What joins it.
@@ -507,8 +521,23 @@ def find_ground(found: PlaneSegmentation, depth_m: np.ndarray, intrinsics: Camer
     # Of a curved floor, no piece states how the camera is mounted over it.
     is_piece = plane_count is not None and plane_count <= own < len(found.planes)
     mounting = None if is_piece else _mounting(found, seen, ways, gravity, config, own)
-    return Ground(classes, replace(pixels, is_ground=is_ground, own=own, doubt=doubt,
-                                   camera_height_m=height_m, mounting=mounting), reach)
+    return Ground(classes, *_with_fronts(replace(
+        pixels, is_ground=is_ground, own=own, doubt=doubt, camera_height_m=height_m,
+        mounting=mounting), constants_m))
+
+
+def _with_fronts(pixels: SeenGround, constants_m: np.ndarray | None
+                 ) -> tuple[SeenGround, SensorReach, np.ndarray | None, str]:
+    """Return pixels with the depth of constants that may be obstacles, and what Ground states."""
+    if constants_m is None:
+        return pixels, pixels.reach, None, ''
+    fronts, note = find_fronts(
+        constants_m, pixels.rays, pixels.table[pixels.is_ground],
+        pixels.reach.depth_m, pixels.max_range_m, pixels.limits.min_height,
+        SIGMAS * pixels.sigma)
+    if fronts is not None:
+        pixels = replace(pixels, depth_m=np.where(fronts, constants_m, pixels.depth_m))
+    return pixels, pixels.reach, fronts, note
 
 
 def _nothing(labels: np.ndarray, note: str, lack: GroundLack = GroundLack.GRAVITY,

@@ -8,6 +8,10 @@ Obstacles: what is not ground, without specks and flying pixels.
    more than 10 degrees, and this steep slope is short.
 2. A speck is a patch of a few pixels, as stereo matching leaves them, that floats: neither ground
    nor the plane of an obstacle is beside it at its depth.
+3. Depth that repeats exactly, and was removed as no measurement (`cells.constant_depth`), may be
+   the front of an obstacle after all. It is not if it would be below the ground, as a mask of the
+   robot's body, nor if nothing is seen farther away, as at the end of the range, which is not
+   near. Otherwise it is.
 """
 
 from __future__ import annotations
@@ -25,9 +29,50 @@ SMEAR_PX = 10
 # chosen: a floating patch of fewer pixels is a speck, as with filters of stereo matching, and so
 # is one of noise on a surface.
 SPECK_PX, NOISE_PX = 64, 6
+# chosen: a constant nearer than this share of the range is not its end; unless it is stated, the
+# range is not nearer than this. A constant of which more than this share is below the ground is no
+# surface.
+WITHIN_RANGE, LEAST_RANGE_M, BELOW_SHARE = 0.9, 2.0, 0.05
 
 _DEPTH = "Array(float32, 2, 'C', readonly=True)"
 _LABELS = "Array(int32, 2, 'C', readonly=True)"
+
+
+def find_fronts(constants_m: np.ndarray, rays: tuple[np.ndarray, np.ndarray],
+                grounds: np.ndarray, reached_m: float, max_range_m: float, min_height: float,
+                error: float) -> tuple[np.ndarray | None, str]:
+    """
+    Return which constants (H, W) may be fronts of obstacles, None for none, and what to say.
+
+    ``grounds`` (N, 5) are the planes of the ground, see `along_ways`; ``reached_m`` is how far the
+    sensor has seen, ``max_range_m`` how far it sees as stated, or 0; ``error`` is that of 1/z.
+    """
+    range_m = max(reached_m, max_range_m or LEAST_RANGE_M)
+    places_m = constants_m[::8, ::8]
+    is_front, depths_m, ends_m = np.zeros(constants_m.shape, bool), [], []
+    for value in np.unique(places_m[np.isfinite(places_m)]):
+        at = np.argwhere(places_m == value) * 8
+        slopes = np.column_stack([rays[0][at[:, 1]], rays[1][at[:, 0]],
+                                  np.ones(len(at), np.float32)]) @ grounds[:, :3].T
+        margin_m = min_height + abs(slopes) * value**2 * error
+        is_below = (slopes * value + grounds[:, 3] < -margin_m).all(axis=1)
+        if len(grounds) and is_below.mean() > BELOW_SHARE:
+            continue
+        if value >= WITHIN_RANGE * range_m:
+            ends_m.append(value)
+            continue
+        is_front |= constants_m == value
+        depths_m.append(value)
+    notes = []
+    if depths_m:
+        notes.append(f'{np.count_nonzero(is_front)} of these pixels, from {depths_m[0]:.4g} m on, '
+                     'may be the front of an obstacle, and are taken for one: if they are the '
+                     'robot itself, set ground.ignore_box; if the range ends there, '
+                     'depth.max_range')
+    if ends_m and not max_range_m:
+        notes.append(f'those from {ends_m[0]:.4g} m on are the end of the range, or a front with '
+                     'nothing seen farther away: depth.max_range states the range')
+    return is_front if depths_m else None, '; '.join(notes)
 
 
 @kernel('boolean(float32, float32, float32, float32)')

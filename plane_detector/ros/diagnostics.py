@@ -185,7 +185,7 @@ class Health:
         if detection.scale_event:
             self._logger.info(detection.scale_event)
         if detection.constant_note:
-            self.warn_once('constant depth', detection.constant_note)
+            self.warn_once(_NUMBER.sub('', detection.constant_note), detection.constant_note)
         before, self._gap = self._gap, missing_for_classes(detection, wanted)
         if self._gap:  # numbers in it vary from frame to frame
             self._gap_images += 1

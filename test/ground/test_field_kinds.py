@@ -255,6 +255,95 @@ def test_walls_alone_give_no_drop_and_why(height_m):
     assert found.obstacles.sum() > 0.99 * np.isfinite(view.depth_m).sum() > 0
 
 
+# Constants in depth: fronts are obstacles, masks and the end of the range are none.
+def in_millimetres(view, noise, seed=0):
+    """Return depth with noise that grows with its square, in whole millimetres."""
+    rng = np.random.default_rng(seed)
+    return np.round(view.depth_m + rng.normal(0, noise, view.depth_m.shape) * view.depth_m**2, 3)
+
+
+def before(view, height_m, front_m, width_m, top_m):
+    """Return the pixels of a front parallel to the image, and their height over the floor."""
+    (x, y), down = pixel_rays(view.lens), view.down
+    above_m = height_m - front_m * (down[0] * x + down[1] * y[:, None] + down[2])
+    side = np.cross(down, [0, 0, 1])
+    aside_m = front_m * (side[0] * x + side[1] * y[:, None]) / np.linalg.norm(side)
+    return (above_m > 0) & (above_m < top_m) & (abs(aside_m) < width_m / 2), above_m
+
+
+@pytest.mark.parametrize('stated', [False, True])
+@pytest.mark.parametrize('front_m, height_m, pitch_deg, roll_deg, noise, is_half', [
+    (1.2, 0.6, 15, 0, 0.001, False), (1.7, 0.4, 10, 90, 0.003, False),
+    (2.0, 1.0, 25, 4, 0.002, True), (1.0, 0.15, 3, 180, 0.003, False),
+    (1.5, 0.8, 20, -90, 0.002, True), (3.0, 0.5, 8, 0, 0.001, False)])
+def test_a_front_that_repeats_one_depth_is_an_obstacle(front_m, height_m, pitch_deg, roll_deg,
+                                                       noise, is_half, stated):
+    view = seen(course(7.0), height_m, pitch_deg, roll_deg, is_half=is_half)
+    at, above_m = before(view, height_m, front_m, 0.7, 0.5)
+    depth_m = np.where(at, front_m, in_millimetres(view, noise))
+    found = detect(view, depth_m, height_m if stated else 0.0)
+    front, floor = at & (above_m > 0.06), (view.kinds == Kind.FLOOR) & ~at
+    assert front.sum() > 2000 and found.obstacles[front].mean() > 0.99
+    np.testing.assert_allclose(found.depth_m[front], front_m, rtol=1e-6)
+    assert abs(found.ground_result.heights_m[front] - above_m[front]).max() < 0.05
+    assert found.obstacles[floor].mean() < 0.005 and found.ground[floor].mean() > 0.97
+    assert 'front of an obstacle' in found.constant_note or not found.constant_note
+    # Not if it is said to be the robot.
+    box = (-9.0, -9.0, front_m - 0.01, 9.0, 9.0, front_m + 0.01)
+    assert not detect(view, depth_m, ignore_box=box).obstacles[at].any()
+
+
+def test_a_front_is_an_obstacle_where_no_floor_is_seen():
+    view = seen(course(4.0), 0.6, -35)
+    at = np.zeros(view.depth_m.shape, bool)
+    at[150:400, 200:500] = True
+    found = detect(view, np.where(at, 1.3, in_millimetres(view, 0.002)))
+    assert found.obstacles[at].all() and np.isnan(found.ground_result.heights_m[at]).all()
+
+
+@pytest.mark.parametrize('value_m', [1.0, 2.0, 5.0, 10.0, 65.535])
+@pytest.mark.parametrize('height_m, pitch_deg, roll_deg, rows', [
+    (0.6, 15, 0, slice(380, None)), (0.5, 20, 180, slice(0, 110)), (0.7, 30, 2, slice(340, None))])
+def test_a_mask_of_the_body_is_no_obstacle(height_m, pitch_deg, roll_deg, rows, value_m):
+    """It would be below the floor."""
+    view = seen(course(7.0), height_m, pitch_deg, roll_deg)
+    depth_m = in_millimetres(view, 0.002)
+    depth_m[rows] = value_m
+    found = detect(view, depth_m)
+    assert not found.obstacles[rows].any() and np.isnan(found.depth_m[rows]).all()
+    rest = view.kinds == Kind.FLOOR
+    rest[rows] = False
+    assert found.ground[rest].mean() > 0.97 and 'front' not in found.constant_note
+    assert len(found.drops_m) == 0
+
+
+@pytest.mark.parametrize('limit_m', [2.5, 4.0])
+def test_the_end_of_the_range_as_a_constant_is_no_obstacle(limit_m):
+    view = seen(course(7.0), 0.6, 15, noise=0.0)
+    measured_m = in_millimetres(view, 0.002)
+    far, depth_m = measured_m > limit_m, np.minimum(measured_m, limit_m)
+    for one, is_stated in ((detector(), False), (detector(max_range=limit_m), True)):
+        found = see(one, view, depth_m)
+        assert not found.obstacles[far].any() and np.isnan(found.depth_m[far]).all()
+        assert ('a front with nothing seen farther' in found.constant_note) != is_stated
+        assert len(found.drops_m) == 0
+
+
+@pytest.mark.parametrize('front_m', [1.2, 3.0])
+def test_a_front_before_all_is_an_obstacle_if_near_or_nearer_than_what_was_seen(front_m):
+    """Alone in view, it may be the end of the range; the stream has seen farther before."""
+    view = seen(course(7.0), 0.6, 12)
+    at, above_m = before(view, 0.6, front_m, 20.0, 9.0)
+    depth_m = np.where(at, front_m, in_millimetres(view, 0.002))
+    stream, fresh = detector(), detector()
+    see(stream, view, in_millimetres(view, 0.002, 1))
+    front = at & (above_m > 0.06)
+    assert see(stream, view, depth_m).obstacles[front].mean() > 0.99
+    found = see(fresh, view, depth_m)
+    assert found.obstacles[front].mean() > 0.99 if front_m < 1.8 else (
+        'a front with nothing seen farther' in found.constant_note)
+
+
 # 6. Reflections are no holes.
 @pytest.mark.parametrize('height_m, pitch_deg, roll_deg, patch, ceiling_m, noise, is_half', [
     (0.6, 20, 0, (-0.5, 0.4, 1.2, 1.8), 2.6, 0.0, False),

@@ -9,6 +9,8 @@ known by its border, where it stands apart from what surrounds it, or by its fre
 that of any other value. A wall that a simulator sees exactly from the front looks the same: what
 is constant stays if the rest of the image has no noise either. So does what is near: the noise of
 1/z is far below a millimetre of depth there, and all pixels of a front are rounded to one value.
+What is removed may still be the front of an obstacle: `ground.obstacles` tells it by what is seen
+behind it.
 """
 
 from __future__ import annotations
