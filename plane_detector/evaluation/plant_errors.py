@@ -186,7 +186,7 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
         ('hold_time * self._hold_times', 'hold_time / self._hold_times',
          'the time of held lines inverted')),
     'depth/preprocessing.py': (
-        ('float32(mean / std)', 'float32(mean)', 'mean without its deviation'),
+        ('float32(value / std)', 'float32(value)', 'scale and mean without the deviation'),
         ('1 / values if output in DEPTHS else values',
          'values', 'depth resized as depth, then inverted'),
         ('(self.top * down)', '(self.left * down)', 'borders of the other axis'),

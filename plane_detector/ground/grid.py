@@ -106,35 +106,49 @@ def _place(moved, z, x, y):
         f'{_FLOATS}, float64[::1], int8[:, ::1])', subject='ground_pixels')
 def _mark(depth_m, ray_x, ray_y, moved, is_ground, is_obstacle, heights_m, limits, cells):
     """Mark the cells of ground and, over it, those of obstacles."""
-    resolution_m, max_height_m, gap_m, step_m = limits
+    per_m, max_height_m, gap_m, step_m = 1 / limits[0], limits[1], limits[2], limits[3]
     middle, count = cells.shape[0] / 2, cells.shape[0]
-    for v in range(depth_m.shape[0]):
-        for u in range(depth_m.shape[1]):
+    height, width = depth_m.shape
+    # Places in the level frame and cells of the pixels of row v, and of the row below.
+    places, found = np.empty((2, width, 3)), np.empty((2, width, 2), np.int64)
+    for v in range(-1, height):
+        own, below = v % 2, (v + 1) % 2
+        for u in range(width if v + 1 < height else 0):
+            if is_ground[v + 1, u]:
+                x, y, z = _place(moved, depth_m[v + 1, u], ray_x[u], ray_y[v + 1])
+                row, column = int(np.floor(y * per_m + middle)), int(np.floor(x * per_m + middle))
+                places[below, u, 0], places[below, u, 1], places[below, u, 2] = x, y, z
+                found[below, u, 0], found[below, u, 1] = row, column
+                if 0 <= row < count and 0 <= column < count:
+                    cells[row, column] = FREE
+        for u in range(width if v >= 0 else 0):
             if not is_ground[v, u]:
                 continue
-            x, y, z = _place(moved, depth_m[v, u], ray_x[u], ray_y[v])
             # Far away, rows of pixels are wider apart than cells: the ground goes on between two
             # pixels that are beside each other, unless a drop might be between them.
             for side in range(2):
-                h, w = v + (side == 0), u + (side == 1)
-                if h == depth_m.shape[0] or w == depth_m.shape[1] or not is_ground[h, w]:
-                    h, w = v, u
-                p, q, r = _place(moved, depth_m[h, w], ray_x[w], ray_y[h])
+                h, w, other = (v + 1, u, below) if side == 0 else (v, u + 1, own)
+                if h == height or w == width or not is_ground[h, w] or (
+                        found[own, u, 0] == found[other, w, 0]
+                        and found[own, u, 1] == found[other, w, 1]):
+                    continue
+                x, y = places[own, u, 0], places[own, u, 1]
+                p, q = places[other, w, 0], places[other, w, 1]
                 length_m = np.hypot(p - x, q - y)
-                steps = 1
-                if length_m <= gap_m and abs(r - z) < step_m:
-                    steps += int(length_m / resolution_m * 2)
-                for step in range(steps):
+                if length_m > gap_m or abs(places[other, w, 2] - places[own, u, 2]) >= step_m:
+                    continue
+                steps = 1 + int(length_m * per_m * 2)
+                for step in range(1, steps):
                     share = step / steps
-                    row = int(np.floor((y + share * (q - y)) / resolution_m + middle))
-                    column = int(np.floor((x + share * (p - x)) / resolution_m + middle))
+                    row = int(np.floor((y + share * (q - y)) * per_m + middle))
+                    column = int(np.floor((x + share * (p - x)) * per_m + middle))
                     if 0 <= row < count and 0 <= column < count:
                         cells[row, column] = FREE
     for v in range(depth_m.shape[0]):
         for u in range(depth_m.shape[1]):
             if is_obstacle[v, u] and not heights_m[v, u] > max_height_m:
                 x, y, z = _place(moved, depth_m[v, u], ray_x[u], ray_y[v])
-                row = int(np.floor(y / resolution_m + middle))
-                column = int(np.floor(x / resolution_m + middle))
+                row = int(np.floor(y * per_m + middle))
+                column = int(np.floor(x * per_m + middle))
                 if 0 <= row < count and 0 <= column < count:
                     cells[row, column] = OCCUPIED
