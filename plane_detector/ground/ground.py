@@ -754,8 +754,10 @@ def _classes(found: PlaneSegmentation, surfaces: Surfaces, above: np.ndarray, jo
     # A level plane is OTHER only if that is not certain.
     classes[is_step & ~joined & (classes != PlaneClass.OTHER)] = PlaneClass.STEP
     classes[joined & ~at_level & ~is_level & is_sure_slope] = PlaneClass.RAMP
-    # What the robot stands on is ground, however uncertain its orientation; so it is floor.
-    is_sure_slope[own] = True
+    # What the robot stands on is ground, however uncertain its orientation; so it is floor, unless
+    # the image shows that it is more likely no level surface.
+    known = np.append(found.planes.class_certainties, np.nan)[own]
+    is_sure_slope[own] |= not known < 0.5
     classes[at_level & is_sure_slope] = PlaneClass.FLOOR
     return classes[:-1]
 

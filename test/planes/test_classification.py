@@ -79,7 +79,7 @@ def test_the_probability_of_a_class_is_calibrated():
         assert stated[found].mean() == pytest.approx(true[found].mean(), abs=0.015)
 
 
-@pytest.mark.parametrize(('certainty', 'is_known'), [(0.66, False), (0.68, True)])
+@pytest.mark.parametrize(('certainty', 'is_known'), [(0.79, False), (0.81, True)])
 @pytest.mark.parametrize('one', [FLOOR, CEILING, WALL])
 def test_a_class_needs_the_certainty_of_the_orientation(one, certainty, is_known):
     kind, = classify_planes(Planes.of([replace(one, class_certainty=certainty)]), DOWN)
@@ -96,8 +96,8 @@ def test_of_uncertain_orientation_the_own_floor_is_floor_and_a_level_surface_no_
     floor = list(found.classes).index(PlaneClass.FLOOR)
     assert steps
 
-    def again(doubtful, *, is_metric=True):
-        certainties = np.where(np.arange(len(found.planes)) == doubtful, 0.5, 1.0)
+    def again(doubtful, *, certainty=0.5, is_metric=True):
+        certainties = np.where(np.arange(len(found.planes)) == doubtful, certainty, 1.0)
         planes = replace(found.planes, class_certainties=certainties)
         return find_ground(replace(found, planes=planes), found.depth_m, scene.intrinsics,
                            Gravity(scene.gravity_camera, 1.0, 'measured'), Config(),
@@ -106,6 +106,7 @@ def test_of_uncertain_orientation_the_own_floor_is_floor_and_a_level_surface_no_
     assert again(steps[0])[steps[0]] == PlaneClass.OTHER
     assert all(again(steps[0])[k] == PlaneClass.STEP for k in steps[1:])
     assert again(floor)[floor] == PlaneClass.FLOOR
+    assert again(floor, certainty=0.4)[floor] == PlaneClass.OTHER, 'more likely no level surface'
     assert again(floor, is_metric=False)[floor] == PlaneClass.OTHER
 
 
