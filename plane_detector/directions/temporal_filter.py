@@ -8,15 +8,16 @@ The posterior of the vertical from view to view, turned with the camera.
 2. All images of a view have the same evidence. So each is judged by what was known before its view
    began: the same image again, with other noise or without, proves nothing.
 3. A view ends when the camera has turned. The modes of its last image, blurred by the error of the
-   rotation, are what is known before the next one.
+   rotation, are what is known before the next one. If the camera has come back to a view before,
+   what was known before that return is: swinging between two views proves nothing either.
 4. Which side of the image is below is judged by all views together, as one observation: what
-   misleads in one image of a room misleads in all.
+   misleads in one image of a room misleads in all. So is the axis about which the camera turns.
 5. After a cut, or where nothing matches, nothing is known.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import cv2
@@ -55,6 +56,8 @@ TURN_ERROR_RATIO, STILL_RAD = 0.4, np.radians(0.2)
 CLOSE_RAD = np.radians(2.5)
 # Probability that what was known before a view still holds. chosen: a wrong start is forgotten.
 REMEMBERED = 0.9
+# The last views, to which a camera may come back. chosen: what they showed is half forgotten.
+MOST_VIEWS = 6
 # The azimuth is no longer known after a turn with a larger error. chosen: that of its axes.
 LARGEST_PAIR_ERROR_RAD = np.radians(5.0)
 
@@ -89,6 +92,16 @@ class View:
     modes: Modes | None = None  # known before it, in the frame of its first image
     sides: Sides | None = None  # seen before it
     rolled_rad: float = 0.0  # about the optical axis, since these sides are
+    # (3, 3) float64: of the views before, as ``Expected.turning``, in the frame of its first image
+    turning: np.ndarray = field(default_factory=lambda: np.zeros((3, 3)))
+    # (N, 3, 3) float64: from the first images of the views before to that of this one
+    earlier: np.ndarray = field(default_factory=lambda: np.zeros((0, 3, 3)))
+
+    @property
+    def is_known(self) -> bool:
+        """Whether the camera has come back to one of the views before."""
+        cosines = (np.trace(self.earlier, axis1=1, axis2=2) - 1) / 2
+        return bool((cosines > np.cos(VIEW_RAD)).any())
 
 
 @dataclass(frozen=True)
@@ -141,8 +154,16 @@ def carried(expected: Expected, last: Step, segments: LineSegments,
     before, pairs = last.directions.modes, last.directions.pairs
     if np.linalg.norm(turn) > VIEW_RAD:
         rolled_rad = view.rolled_rad + float(np.arctan2(view.rotation[1, 0], view.rotation[0, 0]))
-        view = View(segments, np.eye(3), _turned(
-            before, step, float(np.hypot(step_error_rad, CLOSE_RAD))), last.sides, rolled_rad)
+        sides, known = last.sides, _turned(
+            before, step, float(np.hypot(step_error_rad, CLOSE_RAD)))
+        if view.is_known:
+            sides, known = view.sides, _turned(
+                view.modes, view.rotation, float(np.hypot(_turn_error_rad(turn), CLOSE_RAD)))
+        earlier = view.rotation @ np.concatenate([view.earlier, np.eye(3)[None]])[-MOST_VIEWS:]
+        turning = view.rotation @ view.turning @ view.rotation.T
+        view = View(segments, np.eye(3), known, sides, rolled_rad, turning, earlier)
+        if not view.is_known:
+            view = replace(view, turning=turning + np.outer(turn, turn))
         if abs(rolled_rad) > np.pi / 4:
             view = replace(view, sides=None, rolled_rad=0.0)
     is_level = last.directions.gravity_camera is not None
@@ -151,7 +172,8 @@ def carried(expected: Expected, last: Step, segments: LineSegments,
         expected,
         before=view.modes and _turned(view.modes, view.rotation, _turn_error_rad(turn)),
         kept=REMEMBERED, last=_turned(before, step, step_error_rad),
-        pair=pairs[0] @ step.T if has_pair else None, pair_rad=step_error_rad), view
+        pair=pairs[0] @ step.T if has_pair else None, pair_rad=step_error_rad,
+        turning=view.rotation @ view.turning @ view.rotation.T), view
 
 
 def _turn_error_rad(turn: np.ndarray) -> float:

@@ -7,7 +7,12 @@ import numpy as np
 import pytest
 
 from plane_detector.directions.line_segments import LineSegments, segments_from_pixels
-from plane_detector.directions.posterior import Expected
+from plane_detector.directions.posterior import (
+    TAKEN_AS_UPRIGHT,
+    Expected,
+    collect_evidence,
+    turned_about,
+)
 from plane_detector.directions.temporal_filter import (
     ImagePoints,
     Step,
@@ -43,14 +48,15 @@ def nothing() -> LineSegments:
     return segments_from_pixels(np.zeros((0, 2, 2)), CAMERA)
 
 
-def every(images):
+def every(images, log_turned=TAKEN_AS_UPRIGHT):
     """Return the directions of these images, found one after another."""
     found, last = [], None
     for segments in images:
         expected, view = Expected(), first_view(segments)
         if last is not None:
             expected, view = carried(expected, last, segments, None)
-        found.append(find_directions(segments, expected=expected))
+        found.append(find_directions(
+            segments, collect_evidence(segments, log_turned=log_turned), expected))
         last = Step(segments, None, found[-1], view, None)
     return found
 
@@ -94,6 +100,31 @@ def test_the_same_image_again_proves_nothing():
     alone = find_directions(posts)
     assert alone.gravity_camera is None
     assert walk([posts] * 20).probability < MIN_PROBABILITY
+
+
+def test_swinging_between_two_views_proves_nothing():
+    """A view may count twice, as long as the camera is back in it, but never more often."""
+    swings = [room(turn(0, angle_deg, 0), axes=(1, 2)) for angle_deg in 5 * (0, 4, 8, 4)]
+    probabilities = [found.probability for found in every(swings)]
+    assert max(probabilities[8:]) <= max(probabilities[4:8]) + 1e-9
+
+
+@pytest.mark.parametrize('axis', [0, 1, 2])
+def test_a_camera_turns_about_its_vertical(axis):
+    """Where the mounting is open, turning about a level axis leaves the vertical open."""
+    rotations = [cv2.Rodrigues(np.radians(2.0 * k) * FRAME[axis])[0] for k in range(16)]
+    found = every([room(rotation) for rotation in rotations], log_turned=np.zeros(4))
+    assert found[0].gravity_camera is None
+    if axis:
+        assert found[-1].probability < found[0].probability
+    else:
+        assert angle_deg(found[-1].gravity_camera, rotations[-1] @ FRAME[0]) < 0.5
+
+
+def test_the_vertical_is_likely_in_proportion_to_the_turning_about_it():
+    about = turned_about(np.eye(3), np.diag([0.5, 0.3, 0.2]) * 1e6)
+    assert about == pytest.approx([0.5, 0.3, 0.2], abs=1e-4)
+    assert turned_about(np.eye(3), np.zeros((3, 3))) == pytest.approx(1 / 3)
 
 
 def test_a_turning_camera_does_not_lag():
