@@ -47,7 +47,7 @@ MIN_WHOLE_SHARE = 0.3
 # Structure throughout the image resembles noise. Above this share of both the typical disparity
 # and that of a region it is not noise, and the region is rejected.
 MAX_NOISE_SHARE = 0.125
-# chosen: an image with fewer cells shows no noise: differences are of cells four apart.
+# chosen: of fewer cells the noise is hardly known: there are no cells four apart to compare.
 MIN_CELLS_A_SIDE = 5
 # Normals with a smaller standard deviation count as exact.
 MIN_TILT_RAD = 1e-4

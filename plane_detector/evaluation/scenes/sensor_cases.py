@@ -18,6 +18,7 @@ What sensors of today do to large flat surfaces, in compact: one scene and one e
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -154,7 +155,7 @@ def mesh(rng: np.random.Generator) -> tuple[Scene, np.ndarray]:
     Return a table top or deck of mesh or of bars above a floor, in stereo or time of flight.
 
     10 to 50 % of it is open, its pitch is a third of a pixel to a dozen; of half of them each
-    pixel mixes what its neighbours see.
+    pixel mixes what its neighbours see. What is seen through it has no label.
     """
     camera = VGA if rng.random() < 0.5 else HALF
     top_m, away_m, pitch_deg = rng.uniform([0.05, 0.7, -85], [0.9, 1.2, -45])
@@ -171,8 +172,12 @@ def mesh(rng: np.random.Generator) -> tuple[Scene, np.ndarray]:
     corner = centre - [*(side_m / 2), 0]
     faces = [rectangle([-9, -9, 0], [18, 0, 0], [0, 18, 0]),
              rectangle(corner, [side_m[0], 0, 0], [0, side_m[1], 0], is_solid)]
-    scene = render(faces, camera_rotation(rng.uniform(-20, 20), pitch_deg, rng.uniform(-90, 90)),
-                   np.array([0, 0, top_m + away_m * np.sin(pitch)]), camera, rng)
+    view = (camera_rotation(rng.uniform(-20, 20), pitch_deg, rng.uniform(-90, 90)),
+            np.array([0, 0, top_m + away_m * np.sin(pitch)]), camera)
+    scene = render(faces, *view, rng)
+    closed = render([replace(faces[1], mask=None)], *view, np.random.default_rng(0))
+    is_behind = (closed.labels == 0) & (scene.rectangles[scene.labels] == 0)
+    scene = replace(scene, labels=np.where(is_behind, np.int32(-1), scene.labels))
     depth_m = scene.depth_m
     if rng.random() < 0.5:
         depth_m = 1 / cv2.GaussianBlur(1 / depth_m, (0, 0), rng.uniform(0.3, 0.5))
