@@ -162,7 +162,7 @@ class PlaneDetector:
 
     def __init__(self, config: Config | None = None,
                  depth_model: ModelOrFunction | None = None) -> None:
-        self.config = config or DEFAULTS
+        self.config = _checked_config(config)
         self.source: DepthSource = make_source(self.config, depth_model)
         self._epoch = self._depth_epoch = 0
         self._stamp_s = float('nan')
@@ -233,6 +233,7 @@ class PlaneDetector:
                                self.config.depth.kind)
         if covered is not None:
             covered = _checked_cover(covered, rgb.shape[:2])
+        stamp_s = _as_number('stamp_s', stamp_s)
         if math.isinf(stamp_s):
             raise ValueError(f'stamp_s must be finite, or NaN if it is not known, not {stamp_s}')
         if stamp_s < self._stamp_s - JUMP_S:
@@ -393,8 +394,9 @@ def segment_planes(depth_m: np.ndarray, intrinsics: CameraIntrinsics, config: Co
     (2.0, True)
 
     """
-    config = config or DEFAULTS
+    config = _checked_config(config)
     depth_m = as_depth(depth_m, intrinsics, config.depth.max_depth, config.depth.kind)
+    disparity_noise = _as_number('disparity_noise', disparity_noise)
     if not 0 <= disparity_noise < math.inf:
         raise ValueError('disparity_noise must be a standard deviation in 1/m, 0 if it is not '
                          f'known, not {disparity_noise}')
@@ -410,6 +412,21 @@ def segment_planes(depth_m: np.ndarray, intrinsics: CameraIntrinsics, config: Co
         return measured_segmentation(regions, intrinsics, config.segmentation.min_plane_share)
 
 
+def _checked_config(config: Config | None) -> Config:
+    if config is not None and not isinstance(config, Config):
+        raise ValueError('config must be a plane_detector.Config, as Config(depth=DepthConfig('
+                         f"source='topic')), not {type(config).__name__}")
+    return config or DEFAULTS
+
+
+def _as_number(name: str, value: object) -> float:
+    """Return a number of any type as a float; ValueError if it is none."""
+    number = np.asarray(value)
+    if number.ndim or number.dtype.kind not in 'fiu':
+        raise ValueError(f'{name} must be a number, not {value!r}')
+    return float(number)
+
+
 def _checked_cover(covered: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
     """Return where an image is covered (H, W) bool; ValueError if it says it in another way."""
     covered = np.asarray(covered)
@@ -421,10 +438,11 @@ def _checked_cover(covered: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
 
 def _with_height(config: Config, camera_height_m: float | None) -> Config:
     """Return the settings with a measured height, if there is one; ValueError if it cannot be."""
+    if camera_height_m is not None:
+        camera_height_m = _as_number('camera_height_m', camera_height_m)
     try:
-        return config.with_camera_height(
-            None if camera_height_m is None else float(camera_height_m))
-    except (TypeError, ValueError) as error:
+        return config.with_camera_height(camera_height_m)
+    except ValueError as error:
         raise ValueError(f'camera_height_m {camera_height_m!r} is no height: {error}') from None
 
 

@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum, IntEnum
 from functools import cached_property
+from numbers import Real
 from typing import TYPE_CHECKING, Any, Protocol, overload, runtime_checkable
 
 import numpy as np
@@ -144,9 +145,10 @@ class CameraIntrinsics:
         (320.0, 319.5, 239.5)
 
         """
-        if not 0 < horizontal_deg <= MOST_FIELD_OF_VIEW_DEG:
+        if not (isinstance(horizontal_deg, Real)
+                and 0 < horizontal_deg <= MOST_FIELD_OF_VIEW_DEG):
             raise ValueError('the horizontal field of view must be above 0 and at most '
-                             f'{MOST_FIELD_OF_VIEW_DEG:g} degrees, not {horizontal_deg}')
+                             f'{MOST_FIELD_OF_VIEW_DEG:g} degrees, not {horizontal_deg!r}')
         focal_px = float(0.5 * width / np.tan(np.radians(horizontal_deg) / 2))
         return cls(focal_px, focal_px, (width - 1) / 2, (height - 1) / 2, width, height,
                    is_guessed)

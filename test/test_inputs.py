@@ -146,7 +146,11 @@ WRONG = [
     ({'camera_height_m': -0.5}, 'camera_height_m -0.5'),
     ({'camera_height_m': np.float32(np.inf)}, 'inf'),
     ({'camera_height_m': [1.0, 2.0]}, r'\[1.0, 2.0\]'),
-    ({'stamp_s': np.inf}, 'stamp_s must be finite')]
+    ({'camera_height_m': np.array([1.0])}, r'array\(\[1.\]\)'), ({'camera_height_m': '1'}, "'1'"),
+    ({'stamp_s': np.inf}, 'stamp_s must be finite'), ({'stamp_s': None}, 'stamp_s .* None'),
+    ({'stamp_s': 'now'}, "stamp_s .* 'now'"),
+    ({'stamp_s': [1.0, 2.0]}, r'stamp_s .* \[1.0, 2.0\]'),
+    ({'config': {'depth': 'topic'}}, 'config .* not dict')]
 
 
 @pytest.mark.parametrize(('given', 'named'), WRONG)
@@ -157,6 +161,8 @@ def test_what_cannot_be_used_is_named(given, named):
 
 @pytest.mark.parametrize(('given', 'named'), [
     ({'disparity_noise': np.nan}, 'nan'), ({'disparity_noise': -0.1}, '-0.1'),
+    ({'disparity_noise': '.1'}, "disparity_noise .* '.1'"),
+    ({'disparity_noise': None}, 'disparity_noise .* None'), ({'config': {}}, 'config .* not dict'),
     ({'rng': 3}, r'not 3: of a seed, np.random.default_rng\(seed\)'),
     ({'intrinsics': MATRIX}, 'CameraIntrinsics, not ndarray')])
 def test_what_cannot_be_segmented_is_named(given, named):
@@ -173,10 +179,16 @@ def test_numbers_that_are_no_camera_are_named(given, named):
         replace(CAMERA, **given)
 
 
-@pytest.mark.parametrize('angle_deg', [0.0, 180.0, -60.0, np.nan])
+@pytest.mark.parametrize('angle_deg', [0.0, 180.0, -60.0, np.nan, '60', None])
 def test_a_field_of_view_that_no_lens_has_is_named(angle_deg):
-    with pytest.raises(ValueError, match=f'not {angle_deg}'):
+    with pytest.raises(ValueError, match=f'not {angle_deg!r}'):
         CameraIntrinsics.from_field_of_view(320, 240, angle_deg)
+
+
+@pytest.mark.parametrize('model', [3, 'network.onnx'])
+def test_what_is_no_depth_model_is_named(model):
+    with pytest.raises(ValueError, match=f'depth model .* not {model!r}'):
+        PlaneDetector(depth_model=model)
 
 
 @pytest.mark.parametrize('form', LIKE_DEPTH)

@@ -287,5 +287,8 @@ def make_source(config: Config, model: ModelOrFunction | None) -> DepthSource:
         raise ValueError(f'the depth model has {", ".join(there)}, but not '
                          f'{", ".join(name for name in _OF_MODELS if name not in there)}: see '
                          'plane_detector.types.DepthModel, or wrap it in a DepthFunction')
+    if not callable(model):
+        raise ValueError('the depth model must be a function of the image or a '
+                         f'plane_detector.types.DepthModel, not {model!r}')
     output = config.depth.output
     return ModelDepth(DepthFunction(model, 'metric_depth' if output == 'auto' else output))

@@ -604,7 +604,8 @@ def _rough_floor(depth_m: np.ndarray, labels: np.ndarray, rays: tuple[np.ndarray
     """Return the height of the camera over a floor before the robot that is no plane, else 0."""
     x, y = rays[0][::8], rays[1][::8, None]
     sight = down[0] * x + (down[1] * y + down[2])
-    steepness, rank = sight / np.sqrt(x * x + (y * y + 1)), sight.size - sight.size // NEAR_SHARE
+    steepness = sight / np.sqrt(x * x + (y * y + 1))
+    rank = sight.size - max(sight.size // NEAR_SHARE, 1)
     is_near = steepness >= order_statistics(steepness.ravel(), rank)[1]
     below_m = (depth_m[::8, ::8] * sight)[is_near]
     is_rough = np.isfinite(below_m) & (labels[::8, ::8][is_near] < 0)

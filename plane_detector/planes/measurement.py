@@ -48,7 +48,7 @@ MIN_WHOLE_SHARE = 0.3
 # Structure throughout the image resembles noise. Above this share of both the typical disparity
 # and that of a region it is not noise, and the region is rejected.
 MAX_NOISE_SHARE = 0.125
-# chosen: an image with fewer cells shows no noise: differences are of cells four apart.
+# chosen: of fewer cells the noise is hardly known: there are no cells four apart to compare.
 MIN_CELLS_A_SIDE = 5
 # Normals with a smaller standard deviation count as exact.
 MIN_TILT_RAD = 1e-4
@@ -136,7 +136,7 @@ def planes_from_sums(regions: PixelRegions, sums: np.ndarray, kept: np.ndarray,
         (noise.pixel_sigma**2 + noise.disparity_floor**2, noise.depth_floor_m**2,
          *_smooth_noise(regions), (noise.lateral_px / regions.grid.width_px)**2,
          # A network's errors bend its planes.
-         np.inf if noise.source_sigma > 0 else MAX_ROUGHNESS**2),
+         np.inf if noise.source_sigma > 0 else MAX_ROUGHNESS**2), regions.mesh_shares()[kept],
         (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height))
     certainty, of_class = (np.broadcast_to(one, len(sums))[kept].astype(float)
                            for one in (regions.certainty, regions.class_certainty))
@@ -162,14 +162,15 @@ def _smooth_noise(regions: PixelRegions) -> tuple[float, float]:
 
 
 @kernel('float64[:, ::1](float64[:, ::1], float64[:, ::1], float64[:, ::1], '
-        'UniTuple(float64, 6), UniTuple(float64, 6))', is_short=True)
-def _measured(sums, planes, jacobian, noise, camera):
+        'UniTuple(float64, 6), float64[::1], UniTuple(float64, 6))', is_short=True)
+def _measured(sums, planes, jacobian, noise, mesh_shares, camera):
     """
     Return the measurements (K, 26) of planes, in the columns of this module.
 
     The variance of a pixel's own noise is the sum of a constant and a multiple of the fourth power
     of 1/z; behind them are the variance of the smooth noise, the area that shares its value, the
-    lateral variance, and the square of the largest roughness.
+    lateral variance, and the square of the largest roughness. A pixel of a mesh may see a little
+    of what is behind it: all are moved by as much as they deviate, and no mean reduces that.
     """
     fx, fy, cx, cy, width, height = camera
     table, chain, fit = np.zeros((len(sums), 26)), np.empty((4, 3)), np.empty((3, 3))
@@ -195,6 +196,7 @@ def _measured(sums, planes, jacobian, noise, camera):
         fitted = sums[k, WHOLE:] if sums[k, WHOLE] > MIN_WHOLE_SHARE * pixels else sums[k]
         own = noise[0] + noise[1] * (sums[k, D] / pixels) ** 4
         _fit_errors(fitted, (own, noise[2], noise[3]), width, fit)
+        fit[2, 2] += mesh_shares[k] * sums[k, SQUARE] / pixels * (sums[k, D] / pixels) ** 2
         _differentiate(row, jacobian, chain)
         for i in range(16):
             for j in range(9):

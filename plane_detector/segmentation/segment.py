@@ -19,6 +19,7 @@ from plane_detector.config import Config
 from plane_detector.geometry.disparity import disparity_range, zero_filled
 from plane_detector.segmentation.cells.grid import TYPICAL_LENS, DisparityImage, build_cell_grid
 from plane_detector.segmentation.cells.labels import rename_labels
+from plane_detector.segmentation.cells.layers import without_far_layer
 from plane_detector.segmentation.cells.model import MAX_DEVIATIONS, Frame, PlaneRegions
 from plane_detector.segmentation.cells.noise import (
     DepthKind,
@@ -149,11 +150,13 @@ def segment_next(memory: Memory, disparity: np.ndarray, noise_floor: Noise, conf
     rng = rng or np.random.default_rng(config.ransac.seed)
     image = DisparityImage(*zero_filled(disparity))
     grid = build_cell_grid(image, lens=lens)
+    noise_floor = with_fine_depth(with_quantisation(noise_floor, image), image, grid)
+    if noise_floor.is_metric and noise_floor.source_sigma == 0:
+        image, grid = without_far_layer(image, grid, noise_floor)
     if normals is not None:
         grid = replace(grid, normal_slope=slopes_of(grid, normals))
     memory = memory.for_grid(grid)
     min_pixels = MIN_CELL_SHARE * config.segmentation.min_plane_share * image.values.size
-    noise_floor = with_fine_depth(with_quantisation(noise_floor, image), image, grid)
     frame, regions = search_planes(Frame(image, grid, noise_floor, min_pixels, config, rng,
                                          memory.hypotheses(grid)))
     regions = compete_for_cells(frame, regions)

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from cell_helpers import noisy
 
-from plane_detector import CameraIntrinsics, Config, segment_planes
-from plane_detector.config import SegmentationConfig
+from plane_detector import CameraIntrinsics, Config, PlaneDetector, segment_planes
+from plane_detector.config import DepthConfig, SegmentationConfig
 from plane_detector.evaluation.peers import plane_array
 from plane_detector.evaluation.scenes.rendering import VGA
 from plane_detector.evaluation.scenes.sensor_cases import SENSOR_CASES
@@ -142,6 +142,38 @@ def test_small_images_with_holes_have_their_planes(size, holes):
         best = max(range(len(found.planes)), key=lambda k: (seen == k).sum())
         assert (seen == best).mean() > 0.9
         assert found.planes[best].offset_m == pytest.approx(1.0, abs=0.01)
+
+
+@pytest.mark.parametrize('size', [(16, 16), (20, 15), (24, 24), (32, 24)])
+def test_arrays_of_few_pixels_have_their_largest_plane(size):
+    for seed in range(3):
+        depth_m, is_floor, camera = room_corner(size, 0.0, 0.002, seed)
+        found = PlaneDetector(Config(depth=DepthConfig(source='topic'))).detect(
+            np.zeros((*depth_m.shape, 3), np.uint8), camera, depth_m,
+            np.array([0, np.cos(0.45), np.sin(0.45)]), camera_height_m=1.0)
+        assert (found.labels[is_floor] == 0).mean() > 0.8
+        assert found.planes[0].offset_m == pytest.approx(1.0, abs=0.02)
+
+
+@pytest.mark.parametrize('size', [(64, 48), (128, 96), (224, 172), (320, 240)])
+def test_the_near_floor_has_ten_times_the_noise_of_the_wall_in_time_of_flight(size):
+    """Noise of 4 mm at any distance is .025 1/m at .4 m, and .0005 at 3 m."""
+    width, height = size
+    camera = CameraIntrinsics.from_field_of_view(width, height, 60.0)
+    ray_y = (np.indices((height, width))[0] - camera.cy) / camera.fy
+    down = np.array([0.0, np.cos(0.26), np.sin(0.26)])
+    with np.errstate(divide='ignore'):
+        floor_m = 0.25 / np.maximum(ray_y * down[1] + down[2], 0)
+    wall_m = 3.5 / (np.cos(0.26) - ray_y * np.sin(0.26))
+    z_m, is_near = np.minimum(floor_m, wall_m), floor_m < 0.8
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        noisy_m = z_m + (0.004 + 0.002 * z_m**2) * rng.standard_normal(z_m.shape)
+        found = segment_planes(np.round(noisy_m, 3), camera)
+        near = found.labels[is_near]
+        floor = max(range(len(found.planes)), key=lambda k: (near == k).sum())
+        assert (near == floor).mean() > 0.9
+        assert found.planes[floor].offset_m == pytest.approx(0.25, abs=0.01)
 
 
 def test_too_few_pixels_for_planes_are_said():

@@ -11,11 +11,14 @@ What sensors of today do to large flat surfaces, in compact: one scene and one e
   pixel and wanders over the image.
 - terraces: a bowed tray from above in stereo, rounded to millimetres, with less noise than that.
 - bowed: table tops that bow by 2 to 5 mm.
+- mesh: a table top of mesh or bars, through which the floor is seen: each ray hits one of both,
+  or a pixel mixes them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -39,6 +42,7 @@ from plane_detector.geometry.projection import depth_to_points
 from plane_detector.types import CameraIntrinsics
 
 PHONE = CameraIntrinsics(213.0, 213.0, 127.5, 95.5, 256, 192)
+HALF = CameraIntrinsics(262.5, 262.5, 159.5, 119.5, 320, 240)
 Case = Callable[[np.random.Generator], tuple[Scene, np.ndarray]]
 
 
@@ -146,6 +150,43 @@ def _table(rng: np.random.Generator, height_m: float) -> Scene:
     return render(faces, camera_rotation(0, pitch_deg, rng.uniform(-8, 8)), position, VGA, rng)
 
 
+def mesh(rng: np.random.Generator) -> tuple[Scene, np.ndarray]:
+    """
+    Return a table top or deck of mesh or of bars above a floor, in stereo or time of flight.
+
+    10 to 50 % of it is open, its pitch is a third of a pixel to a dozen; of half of them each
+    pixel mixes what its neighbours see. What is seen through it has no label.
+    """
+    camera = VGA if rng.random() < 0.5 else HALF
+    top_m, away_m, pitch_deg = rng.uniform([0.05, 0.7, -85], [0.9, 1.2, -45])
+    side_m, bars = rng.uniform([0.9, 0.7], [1.6, 1.2]), rng.random() < 0.5
+    pitch_m = rng.uniform(*((0.6, 12.0) if bars else (0.3, 8.0))) * away_m / camera.fx
+    open_share = rng.uniform(0.1, 0.5)
+    part = open_share if bars else open_share**0.5
+
+    def is_solid(along_u: np.ndarray, along_v: np.ndarray) -> np.ndarray:
+        is_open = along_v * side_m[1] / pitch_m % 1 < part
+        return ~is_open if bars else ~(is_open & (along_u * side_m[0] / pitch_m % 1 < part))
+    pitch = np.radians(-pitch_deg)
+    centre = np.array([0, away_m * np.cos(pitch), top_m])
+    corner = centre - [*(side_m / 2), 0]
+    faces = [rectangle([-9, -9, 0], [18, 0, 0], [0, 18, 0]),
+             rectangle(corner, [side_m[0], 0, 0], [0, side_m[1], 0], is_solid)]
+    view = (camera_rotation(rng.uniform(-20, 20), pitch_deg, rng.uniform(-90, 90)),
+            np.array([0, 0, top_m + away_m * np.sin(pitch)]), camera)
+    scene = render(faces, *view, rng)
+    closed = render([replace(faces[1], mask=None)], *view, np.random.default_rng(0))
+    is_behind = (closed.labels == 0) & (scene.rectangles[scene.labels] == 0)
+    scene = replace(scene, labels=np.where(is_behind, np.int32(-1), scene.labels))
+    depth_m = scene.depth_m
+    if rng.random() < 0.5:
+        depth_m = 1 / cv2.GaussianBlur(1 / depth_m, (0, 0), rng.uniform(0.3, 0.5))
+    if rng.random() < 0.5:
+        return scene, matched_depth(depth_m, camera, rng, 0.05)
+    sigma_m = 0.002 + 0.001 * depth_m.astype(np.float64)**2
+    return scene, (depth_m + sigma_m * rng.standard_normal(depth_m.shape)).astype(np.float32)
+
+
 SENSOR_CASES: dict[str, Case] = {
     'low stereo': low_stereo, 'albedo': albedo, 'filtered': filtered, 'terraces': terraces,
-    'bowed': bowed_surface}
+    'bowed': bowed_surface, 'mesh': mesh}

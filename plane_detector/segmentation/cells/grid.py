@@ -88,6 +88,8 @@ class CellGrid:
     # (R * C,) float64: half the mean squared difference of neighbouring pixels in and around the
     # cell, see :func:`~plane_detector.segmentation.cells.noise.roughness_of`; (0,) if not measured
     roughness: np.ndarray = field(default_factory=lambda: np.empty(0))
+    # (R * C,) bool: pixels that see through a mesh were left out; (0,) if there are none
+    is_mesh: np.ndarray = field(default_factory=lambda: np.empty(0, bool))
 
     @cached_property
     def typical_disparity(self) -> float:

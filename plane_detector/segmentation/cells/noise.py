@@ -27,6 +27,7 @@ from dataclasses import dataclass, replace
 from enum import Enum
 from statistics import NormalDist
 
+import cv2
 import numpy as np
 
 from plane_detector._runtime.compilation import kernel
@@ -74,6 +75,12 @@ GRAIN_PER_NOISE = 0.25
 # carpet in time of flight, .23 to .63 in simulated ones, up to .36 on grazing floors, else at most
 # .07. In all images SC of the frames of today's sensors -.002, NYU -.003, recall -.007.
 LOCAL_RATIO, MIN_LOCAL_SHARE = 10.0, 0.12
+# The roughness of smaller cells is that of 3 x 3 of them.
+# chosen: of 3 x 3 pixels two pairs are compared, and the least of several such values is far below
+# their mean; of 4 x 4 pixels it is six.
+MIN_ROUGH_SIDE_PX = 4
+# chosen: avoids division by 0; less than one cell of nine.
+MIN_COUNT = 0.1
 # Where neighbouring pixels share nearly all their error, their difference is rounding.
 # tuned: 488 frames of sensors, real, simulated, rounded and of half the size: flat from .02 to
 # .12; without it four of 46 with filtered depth change, one of them from SC .978 to .912.
@@ -202,7 +209,8 @@ def estimate_noise(grid: CellGrid, noise_floor: Noise) -> Noise:
 
     The floors and the ``source_sigma`` of ``noise_floor`` bound the estimate from below.
     """
-    curvature, bend = _differences(grid.mean, grid.slope, grid.usable, grid.shape[1], LAG_CELLS)
+    lag = min(LAG_CELLS, (max(grid.shape) - 1) // 2)  # of few cells the first and the last
+    curvature, bend = _differences(grid.mean, grid.slope, grid.usable, grid.shape[1], lag)
     if not len(curvature) or not len(bend):
         return noise_floor.with_smooth_part(0.0, 0.0)
     # The variance of a - 2 b + c is 6 times that of each, that of a difference 2 times; the
@@ -210,7 +218,7 @@ def estimate_noise(grid: CellGrid, noise_floor: Noise) -> Noise:
     mean_sigma = _quantile(curvature) / MODULUS_QUANTILE / 6**0.5
     slope_sigma = (_quantile(bend) / (-4 * np.log(1 - QUANTILE))) ** 0.5
     # Smooth noise changes by at most its slopes times the distance of the cells; a step does not.
-    mean_sigma = min(mean_sigma, slope_sigma * 2 * LAG_CELLS * grid.size_px / grid.width_px)
+    mean_sigma = min(mean_sigma, slope_sigma * 2 * lag * grid.size_px / grid.width_px)
     cells = sample_cells(grid.usable)
     pixel_sigma = _quantile(grid.residual_rms[cells]) / _rms_quantile(grid.size_px**2 - 3)
     sparsity = grid.sparsity.take(cells, 0)
@@ -272,6 +280,8 @@ def with_local_noise(noise: Noise, grid: CellGrid,
     cells = sample_cells(usable & (grid.residual_rms > 0))
     if noise.source_sigma > 0 or not len(cells):
         return noise, grid
+    if grid.size_px < MIN_ROUGH_SIDE_PX:
+        roughness = _mean_around(roughness, usable, grid.shape)
     share = min(median(roughness[cells] / grid.residual_rms[cells] ** 2), 1.0)
     least = share * LOCAL_RATIO * (noise.pixel_sigma**2 + noise.variance_floor(grid.mean[:, 2]))
     fewest = MIN_LOCAL_SHARE * np.count_nonzero(usable)
@@ -281,6 +291,13 @@ def with_local_noise(noise: Noise, grid: CellGrid,
     if np.count_nonzero(around > least) < fewest:
         return noise, grid
     return replace(noise, own_share=share), replace(grid, roughness=around)
+
+
+def _mean_around(values: np.ndarray, usable: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """Return the mean of the values (R * C,) of the usable ones of 3 x 3 cells."""
+    total, count = (cv2.blur(part.reshape(shape).astype(float), (3, 3)).ravel()
+                    for part in (values * usable, usable))
+    return total / np.maximum(count, MIN_COUNT)
 
 
 def roughness_of(image: DisparityImage, grid: CellGrid) -> np.ndarray:

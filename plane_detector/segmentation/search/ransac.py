@@ -192,7 +192,7 @@ def _refine(plane, search, threshold2):
         if changes == 0 and trial > 0:  # the same cluster
             break
         grown, kept = _cluster_about(members, inliers, near)
-        if len(grown) + len(members) - 2 * kept <= SETTLED_SHARE * len(grown):
+        if trial > 0 and len(grown) + len(members) - 2 * kept <= SETTLED_SHARE * len(grown):
             break
         for j in range(10):
             total[j] = 0.0

@@ -53,6 +53,18 @@ def test_noise_is_estimated_within_half_as_much_again(room, seed, sigma):
     assert len(regions.coefficients) >= 5
 
 
+def test_few_cells_beside_a_plane_that_fills_the_image_are_not_its():
+    """One cell in fifty, each in the middle of the plane, is half a metre behind it."""
+    scene = view([wall(2)], angles_deg=(20, 0, 0))
+    depth_m = noisy(scene, 0, 0.001).copy()
+    behind = np.zeros((60, 80), bool)
+    behind[4::7, 4::7] = True
+    depth_m[np.kron(behind, np.ones((8, 8), bool))] += 0.5
+    _, regions, _ = found(depth_m)
+    assert (regions.labels[behind] == -1).all()
+    assert (regions.labels[~behind] == 0).mean() > 0.9
+
+
 @pytest.mark.parametrize(('flat_share', 'is_exact'), [(0.7, True), (0.1, False)])
 def test_most_of_the_image_must_be_flat_for_exact_depth(flat_share, is_exact):
     """What is left of the image is far too noisy for a plane."""
