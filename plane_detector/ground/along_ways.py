@@ -197,7 +197,8 @@ def mark_ground(depth_m, labels, lines, ways, ray_x, ray_y, planes, down, is_gro
     """
     Return the pixels (H, W) of the ground, and their height over the ground before them.
 
-    Each is measured from the plane that its way showed last. One that is on no other plane may
+    Each is measured from the plane that its way showed last, and from the ground without a plane
+    behind that if it is on a plane that is none. One that is on no other plane may
     be on ground too small for a plane, as the far end of a ramp: then it is measured from a point
     of the ground shortly before it, for the tangent ``slope`` of the steepest ground. ``error`` is
     that of 1/z. The height is NaN where depth is not valid.
@@ -217,6 +218,8 @@ def mark_ground(depth_m, labels, lines, ways, ray_x, ray_y, planes, down, is_gro
     below, ahead = np.full(ways, np.nan, np.float32), np.zeros(ways, np.float32)
     sums, since = np.zeros((ways, 2), np.float32), np.zeros(ways, np.int32)
     is_hidden, misses = np.zeros(ways, np.bool_), np.zeros(ways, np.int32)
+    # Of each way: by how much the ground without a plane is higher than the plane, and its pixels.
+    lift, lifted = np.zeros(ways, np.float32), np.zeros(ways, np.int32)
     slope = np.float32(slope)
     interval = low_m / max(slope, np.float32(1e-3))
     count = np.uint32(len(is_ground) - 1)
@@ -245,6 +248,8 @@ def mark_ground(depth_m, labels, lines, ways, ray_x, ray_y, planes, down, is_gro
                     d, last = planes[r, 3], r
                 s = s0 + slant * np.float32(at)
                 h = s * z + d
+                if on_plane and not belongs and lifted[w] > MAX_MISSES:
+                    h -= lift[w]
                 off = abs(h)
                 heights[p] = h
                 # A plane that is no ground was distinguished from it by all its pixels.
@@ -254,10 +259,11 @@ def mark_ground(depth_m, labels, lines, ways, ray_x, ray_y, planes, down, is_gro
                     ground[p], is_hidden[w] = True, False
                     higher[w] += (h - higher[w]) * (np.float32(MEAN_SHARE) if reference[w] == k
                                                     else np.float32(1))
-                    reference[w], last_seen[w] = k, p
+                    reference[w], last_seen[w], lifted[w] = k, p, 0
                 elif on_plane and not belongs:
                     ground[p] = near
-                    is_hidden[w] |= not near
+                    # What is no higher than the robot climbs hides nothing.
+                    is_hidden[w] |= off > low_m + abs(s) * z * z * error
                 else:
                     if last_seen[w] >= 0:
                         v, u = last_seen[w] // width, last_seen[w] % width
@@ -290,6 +296,11 @@ def mark_ground(depth_m, labels, lines, ways, ray_x, ray_y, planes, down, is_gro
                         sums[w, 0] += z * sight
                         sums[w, 1] += far
                         since[w], misses[w] = since[w] + 1, 0
+                        if way > low_m / 2:  # it leads on: the foot of an obstacle does not
+                            lifted[w] += 1
+                            lift[w] += ((h - lift[w]) / np.float32(lifted[w])
+                                        if lifted[w] < 1 / MEAN_SHARE else
+                                        (h - lift[w]) * np.float32(MEAN_SHARE))
                         if way >= interval:
                             below[w], ahead[w] = sums[w, 0] / since[w], sums[w, 1] / since[w]
                             since[w] = 0

@@ -270,6 +270,30 @@ def test_stairs_up_are_steps_and_obstacles():
     assert found.classes.count(PlaneClass.STEP) >= 2 and len(found.drops_m) == 0
 
 
+@pytest.mark.parametrize('rise_m, run_m', [(0.17, 0.29), (0.19, 0.25), (0.14, 0.32)])
+def test_a_riser_is_measured_from_the_tread_before_it_though_that_has_no_plane(rise_m, run_m):
+    legs = GroundConfig(max_step=0.2, min_height=0.2, max_slope=30.0, min_drop=0.25)
+    ways, y, z = [(0.7, 0.0, Kind.FLOOR)], 0.7, 0.0
+    for _ in range(3):
+        y, z = y + run_m, z + rise_m
+        ways += [(y - run_m, z, Kind.OBSTACLE), (y, z, Kind.UPPER)]
+    terrain = laid(0.8, *ways, (y, 2.0, Kind.OBSTACLE), view=View(0.55, 15.0))
+    scene, depth_m = terrain.scene, noisy(terrain, 0.0015, np.random.default_rng(1))
+    found, z_m = detect(terrain, depth_m, replace(MEASURED, ground=legs)), terrain.points_m[..., 2]
+    second = (terrain.kinds == Kind.UPPER) & (abs(z_m - 2 * rise_m) < 0.01)
+    assert second.sum() > 2000
+    ground = find_ground(
+        PlaneSegmentation(found.planes, np.where(second, -1, found.labels), found.disparity_noise),
+        depth_m, scene.intrinsics, Gravity(scene.gravity_camera, 1.0, 'measured'),
+        replace(MEASURED, ground=legs)).pixels
+    front = terrain.kinds == Kind.OBSTACLE
+    riser = front & (z_m > 2.1 * rise_m) & (z_m < 2.9 * rise_m)
+    wall = front & (z_m > 2 * rise_m + 0.25)
+    assert ground.mask[second].mean() > 0.8
+    assert ground.obstacles[riser].mean() < 0.05 and ground.obstacles[wall].mean() > 0.98
+    assert abs(np.median(ground.heights_m[riser]) - 0.5 * rise_m) < 0.04
+
+
 @pytest.mark.parametrize('height_m, is_drop', [(0.05, False), (0.1, True), (0.2, True)])
 def test_a_kerb_down_is_a_drop_above_min_drop(height_m, is_drop):
     terrain = course(kerb, -1, height_m)

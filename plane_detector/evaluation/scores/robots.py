@@ -97,8 +97,12 @@ def _field(draw: Draw, name: str, height_m: float = 0.0, factor: float = 1.0
                                          found['gravity']), masks | {'depth': depth_m})
 
 
+INVALID_M = 65.0  # what is written for it: 65535 mm
+
+
 def _floor_labelled(found: Detection, masks: Mapping[str, np.ndarray]) -> bool:
-    return bool((found.labels[masks['floor']] >= 0).mean() > 0.98)
+    measured = masks['floor'] & (masks['depth'] < INVALID_M)
+    return bool((found.labels[measured] >= 0).mean() > 0.98)
 
 
 def _no_far_plane(found: Detection, masks: Mapping[str, np.ndarray]) -> bool:
