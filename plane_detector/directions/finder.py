@@ -16,10 +16,9 @@ from plane_detector.directions.line_segments import (
     detect_line_segments,
     reduced_grey,
 )
-from plane_detector.directions.posterior import (
-    TAKEN_AS_UPRIGHT,
-    Expected,
-    collect_evidence,
+from plane_detector.directions.posterior import collect_evidence
+from plane_detector.directions.prior import TAKEN_AS_UPRIGHT, Expected
+from plane_detector.directions.surfaces import (
     log_odds_down,
     sides_of,
     surface_normals,

@@ -24,7 +24,8 @@ import cv2
 import numpy as np
 
 from plane_detector.directions.line_segments import LineSegments
-from plane_detector.directions.posterior import Expected, Modes, Sides
+from plane_detector.directions.prior import Expected, Modes
+from plane_detector.directions.surfaces import Sides
 from plane_detector.directions.vanishing import SceneDirections
 from plane_detector.geometry.rigid_transform import cross
 from plane_detector.types import CameraIntrinsics

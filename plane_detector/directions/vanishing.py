@@ -21,20 +21,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from plane_detector.directions.frames import FrameFit, fit_frame, misalignment
+from plane_detector.directions.likelihood import STRAY_LINES, Evidence, log_likelihood
 from plane_detector.directions.line_segments import LineSegments
 from plane_detector.directions.posterior import (
     CLOSE_DEG,
     FINE_ERROR_DEG,
-    STRAY_LINES,
-    Evidence,
-    Expected,
-    Modes,
     collect_evidence,
-    log_likelihood,
-    prior_density,
     turn_between,
     upright_posterior,
 )
+from plane_detector.directions.prior import Expected, Modes, prior_density
 from plane_detector.geometry.rigid_transform import cross, unit
 
 # An answer is given if it is right with this probability.
@@ -186,8 +182,8 @@ def _share_under_roof(axes: np.ndarray, evidence: Evidence, expected: Expected) 
     under_roof = np.concatenate([
         first * np.cos(slope) * axes[k] + second * np.sin(slope) * axes[k - 1]
         for k in range(3) for first in (1, -1) for second in (1, -1)])
-    density = prior_density(np.concatenate([axes, -axes, under_roof]), expected, evidence,
-                            FINE_ERROR_DEG)[0]
+    density = prior_density(np.concatenate([axes, -axes, under_roof]), expected,
+                            evidence.log_mountings, FINE_ERROR_DEG)[0]
     mass = density[6:].sum() * ROOF / len(slope)
     return float(mass / (density[:6].sum() + mass))
 

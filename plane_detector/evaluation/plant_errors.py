@@ -162,12 +162,13 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
     'directions/frames.py': (
         ('weight * sine * sine', 'weight / sine * sine',
          'scatter of a fit without its misalignments'),),
-    'directions/posterior.py': (
+    'directions/surfaces.py': (
         ('thinned[len(thinned) - quarter:]', 'thinned[len(thinned) + quarter:]',
          'the trend of the disparity is not seen'),
+        ('(1 - USUAL_RATIO) - near', '(1 - USUAL_RATIO) - far', 'the usual shift at the far end')),
+    'directions/posterior.py': (
         ('self.downs[is_near] - down', 'self.downs[is_near] + down',
          'the spread of a mode about its opposite'),
-        ('(1 - USUAL_RATIO) - near', '(1 - USUAL_RATIO) - far', 'the usual shift at the far end'),
         ('Posterior(downs[kept], masses', 'Posterior(-downs[kept], masses', 'gravity points up'),
         ('(best % 3 + 1) % 3', 'best % 3', 'the vertical is its own horizontal axis')),
     'types.py': (

@@ -21,7 +21,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from plane_detector.directions.posterior import held_density
+from plane_detector.directions.prior import held_density
 from plane_detector.directions.vanishing import MIN_PROBABILITY, SceneDirections
 
 # Error of the normals of a depth good enough to contradict lines, whatever its bend allows.

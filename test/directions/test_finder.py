@@ -12,12 +12,8 @@ import pytest
 from plane_detector.config import Config, DirectionsConfig
 from plane_detector.directions import finder
 from plane_detector.directions.finder import CameraImage, DirectionFinder, find_in_image
-from plane_detector.directions.posterior import (
-    Expected,
-    log_odds_down,
-    sides_of,
-    usual_inverse_depth,
-)
+from plane_detector.directions.prior import Expected
+from plane_detector.directions.surfaces import log_odds_down, sides_of, usual_inverse_depth
 from plane_detector.directions.vanishing import SceneDirections
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.evaluation.scenes.rooms import attic, corridor, random_room

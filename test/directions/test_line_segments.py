@@ -12,7 +12,7 @@ from plane_detector.directions.line_segments import (
     segments_from_pixels,
 )
 from plane_detector.directions.lsd import find_segments
-from plane_detector.directions.posterior import surface_normals
+from plane_detector.directions.surfaces import surface_normals
 from plane_detector.evaluation.scenes import rooms
 from plane_detector.evaluation.scenes.textures import textured
 from plane_detector.types import CameraIntrinsics

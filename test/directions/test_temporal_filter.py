@@ -7,12 +7,8 @@ import numpy as np
 import pytest
 
 from plane_detector.directions.line_segments import LineSegments, segments_from_pixels
-from plane_detector.directions.posterior import (
-    TAKEN_AS_UPRIGHT,
-    Expected,
-    collect_evidence,
-    turned_about,
-)
+from plane_detector.directions.posterior import collect_evidence
+from plane_detector.directions.prior import TAKEN_AS_UPRIGHT, Expected, turned_about
 from plane_detector.directions.temporal_filter import (
     ImagePoints,
     Step,

@@ -7,20 +7,15 @@ import numpy as np
 import pytest
 
 from plane_detector.directions.frames import fit_frame
+from plane_detector.directions.likelihood import Evidence
 from plane_detector.directions.line_segments import (
     detect_line_segments,
     reduced_grey,
     segments_from_pixels,
 )
-from plane_detector.directions.posterior import (
-    CELL_RAD,
-    Evidence,
-    Expected,
-    Posterior,
-    _surfaces,
-    collect_evidence,
-    surface_normals,
-)
+from plane_detector.directions.posterior import CELL_RAD, Posterior, collect_evidence
+from plane_detector.directions.prior import Expected
+from plane_detector.directions.surfaces import mean_normals, surface_normals
 from plane_detector.directions.vanishing import _if_it_rises, find_directions
 from plane_detector.evaluation.scenes.rendering import VGA
 from plane_detector.evaluation.scenes.rooms import attic, hexagon_room, random_room
@@ -140,7 +135,7 @@ def test_normals_of_a_floor_in_the_depth():
 def test_a_normal_that_is_not_near_itself_does_not_keep_the_search_going():
     """As one whose length has lost its digits."""
     normals = np.concatenate([np.tile([0.0, 1.0, 0.0], (300, 1)), np.full((20, 3), 0.1)])
-    assert len(_surfaces(normals)) < 5
+    assert len(mean_normals(normals)) < 5
 
 
 def test_a_coarse_direction_determines_the_vertical_of_a_rolled_camera(rng):
