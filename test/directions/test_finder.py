@@ -277,7 +277,7 @@ def test_a_wall_ahead_with_a_floor_is_still_a_wall():
 
 
 def search_times(monkeypatch, turn_deg=0.0, is_still=True, is_trusted=True, hold_time=0.1,
-                 walls=2):
+                 walls=2, nearer_by=1.0):
     """Return when lines are sought, of images every quarter second while the camera turns."""
     times, finder = [], DirectionFinder()
     config = Config(directions=DirectionsConfig(hold_time=hold_time))
@@ -289,8 +289,9 @@ def search_times(monkeypatch, turn_deg=0.0, is_still=True, is_trusted=True, hold
         planes = Planes.of([Plane(turn @ normal, 2.0, -2.0 * turn @ normal, 5000, 0.0, 1.0,
                                   np.eye(4), 1.0, label=k + 1)
                             for k, normal in enumerate(-np.eye(3)[[2, 0]][:walls])])
-        finder.find(CameraImage(None, CAMERA, stamp_s=1 + step / 4, is_still=is_still), None,
-                    config, for_planes=True)
+        image = CameraImage(None, CAMERA, disparity=np.full((480, 640), 0.5 * nearer_by**step),
+                            stamp_s=1 + step / 4, is_still=is_still)
+        finder.find(image, None, config, for_planes=True)
         finder.note_planes(PlaneSegmentation(planes, np.zeros((100, 100), np.int32), 0.0),
                            is_trusted)
     return times
@@ -306,6 +307,12 @@ def test_lines_are_held_ever_longer_while_planes_show_no_turn(monkeypatch, hold_
                                    {'walls': 1}])
 def test_lines_are_hardly_held_while_something_may_move(monkeypatch, moves):
     assert len(search_times(monkeypatch, **moves)) >= 16, 'held for no more than one image'
+
+
+@pytest.mark.parametrize(('nearer_by', 'is_held'), [(1.01, True), (1.06, False), (0.93, False)])
+def test_lines_are_not_held_after_a_jump_of_the_depth(monkeypatch, nearer_by, is_held):
+    """The planes of an image show only for the next one that the camera has turned."""
+    assert len(search_times(monkeypatch, nearer_by=nearer_by)) == (6 if is_held else 32)
 
 
 @pytest.mark.parametrize('down', np.eye(3))
