@@ -14,6 +14,7 @@ from plane_detector.geometry.rigid_transform import unit_vectors
 from plane_detector.planes.line_evidence import lines_in_regions
 from plane_detector.planes.measurement import measure_planes, ray_plane_jacobian
 from plane_detector.planes.orientation import (
+    EXPECTED_SIGMA_RAD,
     ScoredOrientations,
     most_likely,
     normal_variances,
@@ -113,8 +114,7 @@ def reorient(regions: PixelRegions, planes: Planes, lines: ImageDirections,
         if own is None:
             return best
         other = scored(replace(lines, directions=own), turned)
-        votes = PLANE_VOTE * (other.log_evidence - best.log_evidence) + log_prior
-        return other if votes > 0 else best
+        return other if _outvotes(other, best, log_prior) else best
 
     best = with_own_axes(by_lines, planes)
     # Planes that are at right angles as they are have no shift.
@@ -141,6 +141,12 @@ def reorient(regions: PixelRegions, planes: Planes, lines: ImageDirections,
     reoriented = _rotated(joined, normals, offsets, changed | grown, intrinsics)
     return replace(reoriented, certainty=found.probability,
                    class_certainty=found.class_probability)
+
+
+def _outvotes(own: ScoredOrientations, by_lines: ScoredOrientations, log_prior: float) -> bool:
+    """Return whether axes of planes, with a log prior, are taken; a poor network has no vote."""
+    votes = PLANE_VOTE * (own.log_evidence - by_lines.log_evidence) + log_prior
+    return bool(votes > 0 and np.median(own.variances) < EXPECTED_SIGMA_RAD**2)
 
 
 def _at_likely_shift(planes: Planes, variances: np.ndarray, axes: np.ndarray,

@@ -3,6 +3,7 @@
 """Tests of regions rotated to their most likely orientation, on rendered rooms."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -17,7 +18,12 @@ from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.evaluation.scenes.rooms import attic, hexagon_room, random_room
 from plane_detector.evaluation.scenes.textures import ramp_room, rolled_room, textured
 from plane_detector.planes.measurement import measure_planes
-from plane_detector.planes.reorientation import _at_likely_shift, measure_reoriented, reorient
+from plane_detector.planes.reorientation import (
+    _at_likely_shift,
+    _outvotes,
+    measure_reoriented,
+    reorient,
+)
 from plane_detector.segmentation.cells.grid import DisparityImage, build_cell_grid
 from plane_detector.segmentation.cells.pixel_regions import PixelRegions
 from plane_detector.segmentation.segment import metric_noise_floor, segment
@@ -183,3 +189,12 @@ def test_pixels_that_a_level_plane_cannot_contain_have_no_label():
     assert plane.normal == pytest.approx([0, -1, 0], abs=0.02)
     assert np.array_equal(after.labels >= 0, ray_y > 0.02)
     assert np.linalg.norm(plane.centroid_m) < 50
+
+
+@pytest.mark.parametrize(('median_deg', 'is_taken'), [(0.1, True), (6.0, True), (14.0, False)])
+def test_planes_of_a_poor_network_do_not_contradict_the_lines(median_deg, is_taken):
+    """Chance finds axes that fit errors of 14 degrees better than those of the lines."""
+    errors_rad = np.radians([0.5 * median_deg, median_deg, 2 * median_deg])
+    own = SimpleNamespace(log_evidence=13.0, variances=errors_rad**2)
+    assert _outvotes(own, SimpleNamespace(log_evidence=0.0), -9.7) is is_taken
+    assert not _outvotes(own, SimpleNamespace(log_evidence=2.0), -9.7), 'fewer votes'
