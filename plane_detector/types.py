@@ -537,8 +537,8 @@ class Detection(PlaneSegmentation):
 
     @property
     def scale_note(self) -> str:
-        """Result of the method of the scale, or why the others refused."""
-        return self.scale.note
+        """Result of the method of the scale, or why the others refused; then the input note."""
+        return '; '.join(filter(None, (self.scale.note, self.input_note)))
 
     @property
     def drop_depths_m(self) -> np.ndarray:

@@ -302,4 +302,5 @@ def test_programs_of_earlier_versions_find_the_results_of_the_ground():
     assert found.heights_m.shape == SHAPE
     assert found.drop_depths_m.shape == found.drops_m.shape[:1]
     assert found.drop_note == result.drop_note and found.mounting == result.mounting
-    assert found.scale_note == found.scale.note
+    assert found.scale_note.startswith(found.scale.note)
+    assert replace(found, input_note='of rays').scale_note.endswith('of rays')
