@@ -536,6 +536,36 @@ class Detection(PlaneSegmentation):
         return self.ground_result.drops_m
 
     @property
+    def scale_note(self) -> str:
+        """Result of the method of the scale, or why the others refused; then the input note."""
+        return '; '.join(filter(None, (self.scale.note, self.input_note)))
+
+    @property
+    def drop_depths_m(self) -> np.ndarray:
+        """By how much it is lower behind them, (N,) float64; NaN where nothing is seen there."""
+        return self.ground_result.drop_depths_m
+
+    @property
+    def drop_note(self) -> str:
+        """Why there are no drops; empty if they are searched for."""
+        return self.ground_result.drop_note
+
+    @property
+    def heights_m(self) -> np.ndarray:
+        """Height of each pixel over the ground before it, (H, W) float32; NaN unknown."""
+        return self.ground_result.heights_m
+
+    @property
+    def ground_pixels(self) -> GroundResult:
+        """The same as ``ground_result``, as programs of earlier versions name it."""
+        return self.ground_result
+
+    @property
+    def mounting(self) -> Mounting | None:
+        """Height and tilt of the floor beside the stated ones, if any are stated."""
+        return self.ground_result.mounting
+
+    @property
     def camera_height_m(self) -> float:
         """Height of the camera above the own floor; NaN unknown."""
         return self.ground_result.camera_height_m

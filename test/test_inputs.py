@@ -293,3 +293,14 @@ def test_measured_gravity_with_the_sign_turned_is_asked_about(down):
     floor_m += np.random.default_rng(0).normal(0, 0.001, SHAPE) * floor_m**2
     assert 'REP-145' in detect(floor_m, gravity_camera=down).input_note
     assert detect(floor_m, gravity_camera=true_down).input_note == ''
+
+
+def test_programs_of_earlier_versions_find_the_results_of_the_ground():
+    found = detect(gravity_camera=DOWN, camera_height_m=1.5)
+    result = found.ground_result
+    assert found.ground_pixels is result and found.heights_m is result.heights_m
+    assert found.heights_m.shape == SHAPE
+    assert found.drop_depths_m.shape == found.drops_m.shape[:1]
+    assert found.drop_note == result.drop_note and found.mounting == result.mounting
+    assert found.scale_note.startswith(found.scale.note)
+    assert replace(found, input_note='of rays').scale_note.endswith('of rays')
