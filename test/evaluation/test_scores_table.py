@@ -12,6 +12,7 @@ from plane_detector.evaluation.scenes.rooms import random_room, single_wall
 from plane_detector.evaluation.scores import __main__ as program
 from plane_detector.evaluation.scores import classes
 from plane_detector.evaluation.scores.clips import Shot
+from plane_detector.evaluation.scores.measured import lost_planes
 from plane_detector.evaluation.scores.table import (
     HIGHER,
     LOWER,
@@ -163,3 +164,13 @@ def test_a_turned_camera_sees_the_same_points(quarters):
     assert turned.depth_m[row, column] == scene.depth_m[100, 500]
     assert cosine(turned, row, column) == pytest.approx(cosine(shot, 100, 500))
     assert turned.rgb.shape[:2] == (turned.intrinsics.height, turned.intrinsics.width)
+
+
+def test_a_plane_whose_holes_flicker_is_not_lost():
+    halves = [np.where(np.indices((8, 8))[1] % 4 < 2, 0, -1),
+              np.where(np.indices((8, 8))[1] % 4 > 0, 0, -1)]
+    everywhere = np.ones((8, 8), bool)
+    assert lost_planes(*halves, everywhere)[0] == 1
+    seen = (halves[0] == 0) & (halves[1] == 0)
+    assert lost_planes(*halves, seen) == (0, [(0, 0)])
+    assert lost_planes(halves[0], np.full((8, 8), -1), everywhere)[0] == 1

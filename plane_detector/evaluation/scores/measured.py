@@ -299,9 +299,14 @@ def _main_label(labels: np.ndarray, corners: Sequence[int]) -> tuple[int, float]
     return label - 1, float(counts[label] / ((bottom - top) * (right - left)))
 
 
-def lost_planes(before: np.ndarray, after: np.ndarray) -> tuple[int, list[tuple[int, int]]]:
-    """Return how many large planes of an image have none in the next one, and the pairs."""
-    shared = overlap(before, after, np.ones(before.shape, bool))
+def lost_planes(before: np.ndarray, after: np.ndarray,
+                seen: np.ndarray) -> tuple[int, list[tuple[int, int]]]:
+    """
+    Return how many large planes of an image have none in the next one, and the pairs.
+
+    Only pixels with depth in both images, ``seen``, count: where holes flicker, no plane is lost.
+    """
+    shared = overlap(before, after, seen)
     large = np.flatnonzero(shared.counts[:-1].sum(axis=1) > BLINKING_SHARE * before.size)
     if not shared.iou.shape[1]:
         return len(large), []
@@ -317,12 +322,12 @@ def blinking(draw: Draw) -> Values:
     for frame in _labelled(draw.data)[draw.part::2]:
         if frame.set_name != OF_TODAY:
             continue
-        rng, labels = np.random.default_rng(draw.seed), []
+        rng, labels, seen = np.random.default_rng(draw.seed), [], np.isfinite(frame.depth_m)
         for _ in range(BLINKING_DRAWS):
             noisy_m = frame.depth_m * (1 + NOISE_SHARE * rng.standard_normal(frame.depth_m.shape))
             labels.append(segment_planes(noisy_m.astype(np.float32), frame.intrinsics).labels)
         pairs = list(zip(labels[:-1], labels[1:], strict=True))
-        lost.append(np.mean([lost_planes(*pair)[0] for pair in pairs]))
+        lost.append(np.mean([lost_planes(*pair, seen)[0] for pair in pairs]))
     return {'blinking of still frames: planes lost per image': lost}
 
 
@@ -338,7 +343,8 @@ def video(draw: Draw) -> Values:
             about[key] for key in ('fx', 'fy', 'cx', 'cy', 'width', 'height'))), depth_m,
             stamp_s=k / 30)
         if last is not None:
-            count, pairs = lost_planes(last.labels, found.labels)
+            count, pairs = lost_planes(last.labels, found.labels,
+                                       np.isfinite(last.depth_m) & np.isfinite(found.depth_m))
             lost.append(count)
             switched.append(sum(last.planes[i].label != found.planes[j].label for i, j in pairs))
         last = found
