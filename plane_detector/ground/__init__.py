@@ -10,9 +10,9 @@ Planes give the levels and slopes, pixels what lies on them. The steps, as in `g
    are measured against the own floor, and the error of an IMU tilts nothing.
 2. The own floor: the surface at the height of the camera, if that is known; otherwise the one that
    most ways over the ground (`ways`) meet first, which reaches nearest to the robot. Of several
-   levels that ways meet first, it is one that ends at a straight edge before the robot, as at the
-   head of stairs seen by a rolled camera; otherwise the lowest, beside tables. A floor too rough
-   for a plane is the level of the nearest pixels.
+   levels that ways meet first, it is one of half of them that ends at an edge across the view, as
+   at the head of stairs seen by a rolled camera; otherwise the lowest, beside tables. A floor too
+   rough for a plane is the level of the nearest pixels.
 3. Ground: own floor and what joins it. Two surfaces join if their planes have the same height
    along their common border in the image; across a step or a jump in depth they have not. Pieces
    of one level join even if something stands between them, and pieces of a floor that a sensor

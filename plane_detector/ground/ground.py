@@ -55,10 +55,12 @@ from plane_detector.types import (
 HEIGHT_TOLERANCE = 0.1
 # Shares of the columns of an image that meet a level first. Rendered: before drops .85 to 1,
 # tables up to .65, the floor beside them at least .1. Flat from .7 on, and from .01 to .1.
-MAJORITY, FEW_COLUMNS = 0.75, 0.05
-# chosen: a robot stands farther than this from a straight edge before it. The edge is sought in so
-# many directions, in spite of so large a share of strays on the wrong side.
-ROBOT_M, DIRECTIONS, EDGE_STRAYS = 0.5, 72, 0.02
+# Heads of stairs that a rolled camera sees at a side: .55 to .74.
+MAJORITY, HALF, FEW_COLUMNS = 0.75, 0.5, 0.05
+# chosen: a robot stands farther than this from a straight edge before it, which is at most so much
+# off straight across its view. It is sought in so many directions, in spite of so large a share of
+# strays on the wrong side.
+ROBOT_M, MOST_SKEW_DEG, DIRECTIONS, EDGE_STRAYS = 0.5, 45.0, 19, 0.02
 # Pieces of one floor, as a network bends it, are at the same height of the camera within this
 # share; tables and seats, 1 to 1.8 m below a camera, are higher by at least .25 of it. Flat from
 # .05 to .22.
@@ -391,6 +393,8 @@ def _is_ragged(last: np.ndarray, following: np.ndarray, depth_m: np.ndarray,
         return True
     # Differences of neighbours: what of the noise is smooth moves the end without tearing it.
     sigma = np.median(abs(np.diff((measured_m / depth_m - 1) * last))) / (2**0.5 * 0.6745)
+    if sigma == 0.0:
+        return True
     # If the limit is midway between two pixels, fewest ends are torn.
     within = erf(np.median(following - last) / (8**0.5 * sigma))
     share = 1 - (0.5 + 0.5 * within)**2
@@ -664,8 +668,9 @@ def _nearest_floor(votes: np.ndarray, surfaces: Surfaces, seen: Seen, ways: int,
     Return which plane reaches nearest to the robot, by the columns that meet each first.
 
     At the head of stairs most columns meet the own floor first. A table is met by some, others
-    meet the floor beside it: without a majority, the own floor is the highest level of several
-    columns that ends at an edge as stairs do, otherwise the lowest. ``error`` is that of 1/z.
+    meet the floor beside it: without a majority, the level that half of them meet is the own floor
+    if it ends at an edge as stairs do, otherwise the lowest of several columns is. ``error`` is
+    that of 1/z.
     """
     if not votes.any():
         return None
@@ -675,10 +680,10 @@ def _nearest_floor(votes: np.ndarray, surfaces: Surfaces, seen: Seen, ways: int,
     is_met = votes >= min(FEW_COLUMNS * columns, votes.max())
     lowest_m = heights_m[is_met].max()
     at_level = is_met & (heights_m >= (1.0 - ONE_FLOOR) * lowest_m)
-    for k in np.flatnonzero(is_met & ~at_level)[np.argsort(heights_m[is_met & ~at_level])]:
-        if _ends_before_robot(seen, surfaces, k, error):
-            at_level = is_met & (abs(heights_m - heights_m[k]) <= ONE_FLOOR * lowest_m)
-            break
+    most = int(votes.argmax())
+    if (not at_level[most] and votes[most] >= HALF * columns
+            and _ends_before_robot(seen, surfaces, most, error)):
+        return most
     return int(np.where(at_level, votes, -1).argmax())
 
 
@@ -686,8 +691,8 @@ def _ends_before_robot(seen: Seen, surfaces: Surfaces, k: int, error: float) -> 
     """
     Return whether a plane ends at one straight edge, with the robot on its side.
 
-    Where the camera looks through it, it is not. One line parts the head of stairs and the robot
-    from that; beside a table the floor is seen to the left or right of it too.
+    Where the camera looks through it, it is not. One line across the view parts the head of stairs
+    and the robot from that; beside a table the floor is seen to the left or right of it.
     """
     (depth_m, labels, (ray_x, ray_y)), down = seen, surfaces.down
     x, y = np.meshgrid(ray_x[::8], ray_y[::8])
@@ -699,10 +704,12 @@ def _ends_before_robot(seen: Seen, surfaces: Surfaces, k: int, error: float) -> 
     is_through = is_down & (z * (inverse_z - error) > 1.0 + ONE_FLOOR)
     across = np.linalg.svd(down[None])[2][1:]  # two level axes
     plan = rays @ across.T / np.maximum(inverse_z, 1e-9)[:, None]
-    angles = np.arange(DIRECTIONS) * 2 * np.pi / DIRECTIONS
-    away = np.stack([np.cos(angles), np.sin(angles)])
     if not (is_on.any() and is_through.any()):
         return False
+    ahead = across[:, 2]  # the optical axis
+    angles = np.arctan2(ahead[1], ahead[0]) + np.radians(np.linspace(
+        -MOST_SKEW_DEG, MOST_SKEW_DEG, DIRECTIONS))
+    away = np.stack([np.cos(angles), np.sin(angles)])
     ends_m = np.quantile(plan[is_on] @ away, 1 - EDGE_STRAYS, axis=0)
     begins_m = np.quantile(plan[is_through] @ away, EDGE_STRAYS, axis=0)
     return bool((np.maximum(ends_m, ROBOT_M) <= begins_m).any())
