@@ -32,7 +32,8 @@ from plane_detector.directions.finder import CameraImage, DirectionFinder, Surro
 from plane_detector.geometry.disparity import to_disparity
 from plane_detector.geometry.gravity import measured_direction, sign_question
 from plane_detector.geometry.projection import as_depth, as_image
-from plane_detector.ground.ground import NO_REACH, SensorReach, find_ground
+from plane_detector.ground.ground import find_ground
+from plane_detector.ground.sensor_reach import NO_REACH, SensorReach
 from plane_detector.network_steps import NetworkSteps
 from plane_detector.planes.measurement import measured_segmentation
 from plane_detector.segmentation.baselines import segment_by_paper

@@ -296,10 +296,11 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
     'ground/ground.py': (
         ('TAPE_SHARE = 0.01, 0.02',
          'TAPE_SHARE = 0.01, 0.08', 'a height that is off by a twelfth is not said'),
+        ('(down[2], -1, 1)', '(down[1], -1, 1)', 'tilt about the wrong axis')),
+    'ground/surfaces.py': (
         ('[self.normals * inv', '[-self.normals * inv', 'normals look down'),
         ('] + self.offsets[', '] - self.offsets[', 'sign of an offset'),
-        ('inverse[:, None], self', '1.0, self', 'off the plane, not along gravity'),
-        ('(down[2], -1, 1)', '(down[1], -1, 1)', 'tilt about the wrong axis')),
+        ('inverse[:, None], self', '1.0, self', 'off the plane, not along gravity')),
     'ground/along_ways.py': (
         ('min(-off, under)', 'max(-off, under)',
          'lower than a ramp would be'),

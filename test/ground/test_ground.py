@@ -285,7 +285,7 @@ def test_a_riser_is_measured_from_the_tread_before_it_though_that_has_no_plane(r
     ground = find_ground(
         PlaneSegmentation(found.planes, np.where(second, -1, found.labels), found.disparity_noise),
         depth_m, scene.intrinsics, Gravity(scene.gravity_camera, 1.0, 'measured'),
-        replace(MEASURED, ground=legs)).pixels
+        replace(MEASURED, ground=legs)).result
     front = terrain.kinds == Kind.OBSTACLE
     riser = front & (z_m > 2.1 * rise_m) & (z_m < 2.9 * rise_m)
     wall = front & (z_m > 2 * rise_m + 0.25)
