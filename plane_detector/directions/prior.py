@@ -143,7 +143,7 @@ def prior_density(downs: np.ndarray, expected: Expected, log_mountings: Sequence
 
 def turned_about(downs: np.ndarray, turning: np.ndarray) -> np.ndarray:
     """Return the likelihood (N,) of the turning (3, 3) of a camera with verticals (N, 3)."""
-    about = ((downs @ turning) * downs).sum(axis=1) + LITTLE_TURN_RAD**2 / 3
+    about = np.einsum('ij,ij->i', downs @ turning, downs) + LITTLE_TURN_RAD**2 / 3
     return about / (np.trace(turning) + LITTLE_TURN_RAD**2)
 
 
