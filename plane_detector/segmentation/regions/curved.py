@@ -159,7 +159,7 @@ def _bends(planes, sums, borders, lens, of_bows, limits, much):
         for j in range(i + 1, count):
             if borders[i, j, 0] == 0:
                 continue
-            fold_deg, gap = fold(planes, sums, borders, lens, i, j)
+            fold_deg, gap, _ = fold(planes, sums, borders, lens, i, j)
             by = np.sqrt(much[i] * much[j])
             # A gap that bends explain counts along a side: the root of a square's number of cells.
             side = np.sqrt(min(sums[i, N], sums[j, N]))

@@ -86,7 +86,7 @@ class OnePlane(NamedTuple):
     tolerance : float
         Largest misfit in either region.
     max_gap : float
-        Largest gap between their planes at the border, in deviations.
+        Largest rms gap between their planes along the border, in deviations.
     max_fold_deg : float
         Largest angle between them.
     min_pairs : int
@@ -260,7 +260,7 @@ def join_nearly_flat(cells: WeightedCells, graph: RegionGraph, removed: np.ndarr
         if i in removed or j in removed or (
                 recall and recall.is_two(Decision.FLAT, misfit, graph.labels, (i, j))):
             return True
-        _, gap = fold(graph.planes, graph.sums, graph.borders, graph.lens, i, j)
+        _, _, gap = fold(graph.planes, graph.sums, graph.borders, graph.lens, i, j)
         # The difference of two cells has this deviation: a smaller gap is a dip, not a step.
         return gap > 2**0.5 and prefer_two_planes(cells, graph.labels, correlation, i, j, recall)
 
@@ -288,7 +288,7 @@ def _misfits(planes, sums, borders, lens, test):
                 continue
             fold_deg, gap = 0.0, 0.0
             if np.isfinite(max_fold_deg):
-                fold_deg, gap = fold(planes, sums, borders, lens, i, j)
+                fold_deg, _, gap = fold(planes, sums, borders, lens, i, j)
             is_one = fold_deg <= max_fold_deg
             if is_one and gap >= max_gap:
                 is_one = (surface == PLANE_M and fit_quadric(sums[i], sums[j],

@@ -57,8 +57,8 @@ class RegionGraph:
     # (K, 28) float64: of the means of the cells: 22 products, and the variances; of the cells with
     # normals: their number, two slopes, the squares of these, and disparity
     sums: np.ndarray
-    # (K, K, 4) float64: entry i, j: pairs of cells along the border of i and j, sums of x, y, d of
-    # those in i
+    # (K, K, 7) float64: entry i, j: pairs of cells along the border of i and j, sums of x, y, d of
+    # those in i, and of xx, xy, yy of the middles of the pairs
     borders: np.ndarray
     lens: np.ndarray  # (4,) float64: as in the grid of the cells
 
@@ -138,7 +138,7 @@ def merge_pairs(graph: RegionGraph, misfit: Callable[[RegionGraph], np.ndarray],
         '(int32[:, ::1], float64[:, ::1], float64[:, ::1], float64[:, ::1], boolean[::1], int64)',
         is_short=True)
 def _sum_up(labels, table, moments, slope, is_planar, count):
-    (rows, columns), borders = labels.shape, np.zeros((count, count, 4))
+    (rows, columns), borders = labels.shape, np.zeros((count, count, 7))
     pixels, sums = np.zeros((count, 10)), np.zeros((count, 28))
     for row in range(rows):
         for column in range(columns):
@@ -158,6 +158,12 @@ def _sum_up(labels, table, moments, slope, is_planar, count):
                         for k in range(3):
                             borders[one, other, 1 + k] += table[i, k]
                             borders[other, one, 1 + k] += table[j, k]
+                        x = (table[i, MEAN_X] + table[j, MEAN_X]) / 2
+                        y = (table[i, MEAN_Y] + table[j, MEAN_Y]) / 2
+                        for side in ((one, other), (other, one)):
+                            borders[side[0], side[1], 4] += x * x
+                            borders[side[0], side[1], 5] += x * y
+                            borders[side[0], side[1], 6] += y * y
     return pixels, sums, borders
 
 
@@ -214,12 +220,21 @@ def _intersections(planes, borders):
     return signs
 
 
-@kernel('UniTuple(float64, 2)(float64[:, ::1], float64[:, ::1], float64[:, :, ::1], float64[::1], '
+@kernel('UniTuple(float64, 3)(float64[:, ::1], float64[:, ::1], float64[:, :, ::1], float64[::1], '
         'int64, int64)')
 def fold(planes, sums, borders, lens, i, j):
-    """Return the dihedral angle of two planes, degrees, and the gap at their border, in sigma."""
+    """
+    Return the angle between two planes, degrees, and the gap at their border, in sigma.
+
+    The gap is that of the middle of the border, where pieces of one bow meet, and its rms along
+    the border, where a plane that is tilted along it does not.
+    """
     here, there = _gaps(planes, borders, i, j)
     gap = abs(here + there) / (2 * borders[i, j, 0])
+    a, b, c = planes[i, 0] - planes[j, 0], planes[i, 1] - planes[j, 1], planes[i, 2] - planes[j, 2]
+    x, y = borders[i, j, 1] + borders[j, i, 1], borders[i, j, 2] + borders[j, i, 2]
+    square_gap = (a * a * borders[i, j, 4] + 2 * a * b * borders[i, j, 5]
+                  + b * b * borders[i, j, 6] + c * (a * x + b * y)) / borders[i, j, 0] + c * c
     variance = max(sums[i, VARIANCE] / max(sums[i, N], 1.0),
                    sums[j, VARIANCE] / max(sums[j, N], 1.0), MIN_VARIANCE)
     one = normal_of(planes[i, 0], planes[i, 1], planes[i, 2], lens)
@@ -230,4 +245,5 @@ def fold(planes, sums, borders, lens, i, j):
         square += one[k] * one[k]
         of_other += other[k] * other[k]
     cosine = dot / np.sqrt(square * of_other)
-    return np.degrees(np.arccos(min(max(cosine, -1.0), 1.0))), gap / np.sqrt(variance)
+    return (np.degrees(np.arccos(min(max(cosine, -1.0), 1.0))), gap / np.sqrt(variance),
+            np.sqrt(max(square_gap, 0.0) / variance))

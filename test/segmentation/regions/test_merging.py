@@ -178,7 +178,10 @@ def test_adjacency_equals_a_loop_over_pairs_of_cells():
     assert sorted(pairs) == list(zip(*np.nonzero(np.triu(found[:, :, 0])), strict=True))
     for (i, j), ends in pairs.items():
         assert found[i, j, 0] == found[j, i, 0] == len(ends)
-        np.testing.assert_allclose([found[i, j, 1:], found[j, i, 1:]], np.sum(ends, axis=0))
+        np.testing.assert_allclose([found[i, j, 1:4], found[j, i, 1:4]], np.sum(ends, axis=0))
+        x, y = np.mean(ends, axis=1)[:, :2].T
+        np.testing.assert_allclose([found[i, j, 4:], found[j, i, 4:]],
+                                   [[x @ x, x @ y, y @ y]] * 2)
 
 
 CAMERA = CameraIntrinsics.from_field_of_view(320, 240, 60.0)
@@ -220,3 +223,26 @@ def test_pieces_of_two_planes_behind_an_object_stay_two(data_folder):
         config = replace(Config(), ransac=RansacConfig(seed=seed))
         labels = segment_planes(frame.depth_m, frame.intrinsics, config).labels
         assert labelled_score(np.maximum(frame.labels, -1), labels, known)['SC'] > 0.93
+
+
+@pytest.mark.parametrize('seed', [0, 1, 2])
+@pytest.mark.parametrize('is_turned', [False, True])
+def test_a_plate_tilted_along_its_border_is_not_merged_with_a_level_one(is_turned, seed):
+    """Two plates of 30 x 25 cm, 1.3 m away; along their border the gap is 0 in the mean."""
+    tilt_deg, camera = 3.0, CameraIntrinsics(525.0, 525.0, 319.5, 319.5, 640, 640)
+    ray_x, ray_y = (np.arange(640) - 319.5)[None] / 525, (np.arange(640) - 319.5)[:, None] / 525
+    is_right = np.broadcast_to(ray_x > 0, (640, 640))
+    disparity = np.where(is_right, 1 - np.tan(np.radians(tilt_deg)) * ray_y, 1.0) / 1.3
+    is_plate = (abs(ray_x) < 0.3 / 1.3) & (abs(ray_y) < 0.125 / 1.3)
+    noise = np.random.default_rng(seed).normal(0, 3e-4, disparity.shape)
+    depth_m = np.where(is_plate, 1 / (disparity + noise), np.nan).astype(np.float32)
+    tilted = np.array([0.0, np.sin(np.radians(tilt_deg)), -np.cos(np.radians(tilt_deg))])
+    if is_turned:
+        depth_m, is_right, is_plate = depth_m.T.copy(), is_right.T, is_plate.T
+        tilted = tilted[[1, 0, 2]]
+    found = segment_planes(depth_m, camera)
+    for part, normal in ((is_plate & is_right, tilted), (is_plate & ~is_right, [0.0, 0, -1])):
+        k, count = np.unique(found.labels[part], return_counts=True)
+        assert count.max() > 0.9 * part.sum()
+        cosine = found.planes.normals[k[count.argmax()]] @ normal
+        assert np.degrees(np.arccos(cosine)) < 0.5
