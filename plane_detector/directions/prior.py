@@ -46,7 +46,7 @@ TINY, FAR_SQUARE = 1e-30, 60.0
 # A vertical of the views before has this power of the density of mountings in each further view: a
 # camera that turns keeps its tilt against the vertical, and not against the other axes. tuned: by
 # colour, three walks in four mountings, answered upright and wrong turned: at 0 55 and 3 %, at
-# .25 57 and 0 %, at .4 61 and 0 %, and then more of a turned camera that pans to and fro.
+# .25 57 and 0 %, at .4 61 and 0 %, and then more of a turned camera that pans back and forth.
 STEADY = 0.25
 # Cameras turn about the vertical more than about other axes: the likelihood of a vertical is the
 # share of the turning about it, one observation for all views. measured: .78 and .70 in two walks
