@@ -8,7 +8,9 @@ Obstacles: what is not ground, without specks and flying pixels.
    more than 10 degrees, and this steep slope is short.
 2. A speck is a patch of a few pixels, as stereo matching leaves them, that floats: neither ground
    nor the plane of an obstacle is beside it at its depth.
-3. Depth that repeats exactly, and was removed as no measurement (`cells.constant_depth`), may be
+3. A torn rim is around a hole in the depth of the ground, below it: sensors are too deep there.
+   What is below the ground and no plane is no obstacle within a few pixels of such a hole.
+4. Depth that repeats exactly, and was removed as no measurement (`cells.constant_depth`), may be
    the front of an obstacle after all. It is not if it would be below the ground, as a mask of the
    robot's body, nor if nothing is seen farther away, as at the end of the range, which is not
    near. Otherwise it is.
@@ -114,6 +116,18 @@ def _is_flying(depth_m, v, u, dv, du, width, error):
     return True
 
 
+@kernel(f'boolean({_DEPTH}, int64, int64)')
+def _is_at_hole(depth_m, v, u):
+    """Return whether a pixel without depth is a few pixels from a pixel, in its row or column."""
+    height, width = depth_m.shape
+    for step in range(1, SMEAR_PX + 1):
+        for side in range(-step, step + 1, 2 * step):
+            if (0 <= v + side < height and not depth_m[v + side, u] >= MIN_DEPTH_M
+                    or 0 <= u + side < width and not depth_m[v, u + side] >= MIN_DEPTH_M):
+                return True
+    return False
+
+
 @kernel(f'boolean[:, ::1]({_DEPTH}, {_LABELS}, boolean[:, ::1], {_DEPTH}, float64, float64, '
         'float64)', subject='ground_pixels')
 def mark_obstacles(depth_m, labels, ground, heights_m, min_height, focal_px, error):
@@ -132,7 +146,8 @@ def mark_obstacles(depth_m, labels, ground, heights_m, min_height, focal_px, err
             # The foot of a wall and a low plate are no ground, and no obstacle either.
             found[v, u] = (is_valid & surface[v, u] & (not ground[v, u])
                            & (not abs(heights_m[v, u]) <= low_m))
-            is_loose[v, u] = is_valid & (not surface[v, u])
+            is_loose[v, u] = is_valid & (not surface[v, u]) & (not (
+                heights_m[v, u] < -low_m and _is_at_hole(depth_m, v, u)))
     # Runs of pixels of a row that may be a speck: first and last column, the patch they belong to,
     # by its first run, and of each patch its pixels and whether a surface is beside it.
     most = height * (width // 4 + 1)  # what exceeds it stays an obstacle

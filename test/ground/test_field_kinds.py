@@ -408,6 +408,30 @@ def test_specks_in_free_space_are_no_obstacles(size_px, count, is_half, seed):
                            & (view.above_m > 0.1)].mean() > 0.99
 
 
+@pytest.mark.parametrize('roll_deg, is_half, seed', [(0, False, 0), (90, False, 1),
+                                                     (180, True, 2)])
+def test_torn_rims_of_blind_spots_in_the_floor_are_no_obstacles(roll_deg, is_half, seed):
+    """Too deep by up to 12 % where a light is reflected; a box among them stays an obstacle."""
+    rng = np.random.default_rng(seed)
+    view = seen(course(5.0, boxes=[(0.5, 1.6, (0.3, 0.3, 0.3))]), 1.0, 30, roll_deg,
+                is_half=is_half, noise=0.0005)
+    depth_m, is_rim = view.depth_m.copy(), np.zeros(view.depth_m.shape, bool)
+    v, u = np.indices(depth_m.shape)
+    floor = np.argwhere(view.kinds == Kind.FLOOR)
+    unit = 0.5 if is_half else 1.0
+    for row, column in floor[rng.integers(0, len(floor), 8)]:
+        radius = np.hypot((v - row) / (20 * unit), (u - column) / (35 * unit))
+        depth_m[(radius < 1) & (view.kinds == Kind.FLOOR)] = np.nan
+        is_rim |= (radius >= 1) & (radius < 1.25) & (view.kinds == Kind.FLOOR)
+    bumps = abs(cv2.GaussianBlur(rng.normal(size=depth_m.shape), (0, 0), 3 * unit))
+    depth_m[is_rim] *= 1 + 0.12 * (bumps / bumps.max())[is_rim]
+    found = detect(view, depth_m)
+    is_rim &= np.isfinite(depth_m)
+    assert is_rim.sum() > 400 * unit and found.obstacles[is_rim].mean() < 0.02
+    assert found.obstacles[(view.kinds == Kind.OBSTACLE) & (view.above_m > 0.1)].mean() > 0.98
+    assert not len(found.drops_m)
+
+
 @pytest.mark.parametrize('size_px, is_half, noise', [(5, False, 0.0), (3, True, 0.0),
                                                       (7, False, 0.0005)])
 def test_flying_pixels_are_no_obstacles_and_things_are(size_px, is_half, noise):
