@@ -11,7 +11,7 @@ from ros_helpers import camera_info_msg, image_msg
 
 from plane_detector.config import Config, DepthConfig, NodeConfig
 from plane_detector.directions import finder
-from plane_detector.ground import ground
+from plane_detector.ground import seen_ground
 from plane_detector.pipeline import PlaneDetector
 from plane_detector.ros.frame_processor import FrameProcessor
 from plane_detector.ros.inputs.synchronizer import Frame
@@ -173,7 +173,7 @@ def test_lines_beside_a_network_are_held_for_a_tenth_of_a_second_only(sought):
 @pytest.mark.parametrize('wanted, is_sought', [(('planes', 'points'), False), (('ground',), True),
                                                (('points_without_floor',), True)])
 def test_pixels_of_the_ground_are_sought_for_their_readers(monkeypatch, wanted, is_sought):
-    calls, mark = [], ground.mark_ground
-    monkeypatch.setattr(ground, 'mark_ground', lambda *given: calls.append(1) or mark(*given))
+    calls, mark = [], seen_ground.mark_ground
+    monkeypatch.setattr(seen_ground, 'mark_ground', lambda *given: calls.append(1) or mark(*given))
     process([0.0], 0.001, lambda k: False, wanted)
     assert len(calls) == is_sought

@@ -60,7 +60,8 @@ def test_the_live_node_gives_the_same(bag, scenes, replay):
     try:
         node = PlaneDetectorNode(context=robot.context, parameter_overrides=[
             Parameter('depth.source', value='topic'),
-            Parameter('points_color', value='overlay')])
+            Parameter('points_color', value='overlay'),
+            Parameter('picture_rate', value=0.0)])
         robot.add(node)
         assert robot.spin(lambda: node.state == 'active'), robot.log()
         names = {IMAGE: 'image', INFO: 'camera_info', DEPTH: 'depth'}
