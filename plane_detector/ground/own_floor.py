@@ -132,7 +132,7 @@ def _ends_before_robot(seen: Seen, surfaces: Surfaces, k: int, error: float) -> 
 
 
 def rough_floor(depth_m: np.ndarray, labels: np.ndarray, rays: tuple[np.ndarray, np.ndarray],
-                 down: np.ndarray, min_height: float) -> float:
+                down: np.ndarray, min_height: float) -> float:
     """Return the height of the camera over a floor before the robot that is no plane, else 0."""
     x, y = rays[0][::8], rays[1][::8, None]
     sight = down[0] * x + (down[1] * y + down[2])
@@ -150,7 +150,7 @@ def rough_floor(depth_m: np.ndarray, labels: np.ndarray, rays: tuple[np.ndarray,
 
 
 def why_unseen(depth_m: np.ndarray, labels: np.ndarray, rays: tuple[np.ndarray, np.ndarray],
-            surfaces: Surfaces, height_m: float, walkable: np.ndarray) -> str:
+               surfaces: Surfaces, height_m: float, walkable: np.ndarray) -> str:
     """Return why the level so far below the camera (0: not known) is not seen; empty if it is."""
     if not height_m:
         return ''
