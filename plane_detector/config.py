@@ -408,8 +408,8 @@ class NodeConfig(Settings):
         'image', 'colours of ~/points: those of the image, one per plane as in the markers '
         '(label), or both mixed as in the overlay', choices=('image', 'label', 'overlay'))
     picture_rate: float = setting(
-        10.0, 'at most so many ~/markers, ~/overlay and ~/overlay/compressed a second, which are '
-        'for people; the last one always comes; 0: of every image', 'Hz', 0.0, 1000.0)
+        10.0, 'highest rate of ~/markers, ~/overlay and ~/overlay/compressed, which are made for '
+        'people; the last one is always published; 0: one per image', 'Hz', 0.0, 1000.0)
     mode: str = setting(
         'continuous', 'continuous: process the newest frame repeatedly; on_demand: one frame per '
         'call of ~/detect', choices=('continuous', 'on_demand'))

@@ -453,10 +453,10 @@ class Mounting:
 
 @dataclass(frozen=True)
 class GroundResult:
-    """Where a robot may roll, what it must not hit, and where the ground ends."""
+    """Traversable ground, obstacles, and where the ground ends."""
 
     lack: GroundLack = GroundLack.GRAVITY  # if anything, all this is missing
-    # (H, W) bool, pixels that a robot may roll on, and lower levels; nowhere if the own floor is
+    # (H, W) bool, traversable pixels, and lower levels; nowhere if the own floor is
     # not known.
     mask: np.ndarray = field(default_factory=lambda: np.zeros((0, 0), bool))
     # (H, W) bool, pixels with depth that are not ground, without specks and flying pixels

@@ -30,8 +30,8 @@ ROBOT_M, MOST_SKEW_DEG, DIRECTIONS, EDGE_STRAYS = 0.5, 45.0, 19, 0.02
 # share; tables and seats, 1 to 1.8 m below a camera, are higher by at least .25 of it. Flat from
 # .05 to .22.
 ONE_FLOOR = 0.2
-# chosen: the floor that is nearest to the robot is in so many parts of the image the one where
-# it looks down most steeply.
+# chosen: the floor nearest to the robot is in one of this many parts of the image, the one where
+# the camera looks down most steeply.
 NEAR_SHARE = 8
 # chosen: the floor is seen if at least this share of the pixels shows it.
 SEEN_SHARE = 0.003

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Pictures for people, ~/markers and ~/overlay: at most so many a second, the last one always."""
+"""Pictures for people, ~/markers and ~/overlay: at a limited rate, the last one always."""
 
 from __future__ import annotations
 

@@ -20,19 +20,18 @@ from plane_detector.segmentation.cells.grid import CellGrid, DisparityImage, bui
 from plane_detector.segmentation.cells.noise import Noise
 from plane_detector.segmentation.cells.plane_fit import D, N, add_moments, fit_plane
 
-# Two layers are apart by at least this share of 1/z, so many deviations of the near one about its
-# plane, and so many lower bounds of the noise.
+# Least distance between two layers: a share of 1/z, in deviations of the near layer about its
+# plane, and in lower bounds of the noise.
 # chosen: noise in two halves is apart by 2.3 deviations of the upper half as measured here, even
 # values by 3; of steps of quantisation, whose bound is 1 / sqrt(12) of one, 12 are more than 3.
 MIN_GAP_SHARE, MIN_GAP_DEVIATIONS, MIN_GAP_FLOORS = 0.02, 5.0, 12.0
 # Two halves of normal noise are apart by 2.65 deviations of one half.
 # chosen: above that, by chance of 64 pixels; mixed pixels between two layers leave 5.
 MIN_SPLIT = 3.5
-# Of neighbouring pixels, so many sides of a cell are of two layers at least where they are
-# interleaved.
+# Least length of the borders between interleaved layers in a cell, in sides of the cell.
 # derived: an edge has one to 1.4, a bar two.
 MIN_BORDER_SIDES = 2.0
-# Of the 5 x 5 cells around one of a mesh, so many have interleaved layers, or so many two layers.
+# Of the 5 x 5 cells around one of a mesh, the least number with interleaved layers, or with two.
 # chosen: along a pole or a cable 5 are interleaved, along an edge 5 to 10 have two layers; bars
 # that are two cells apart leave 10 of the first kind, three cells apart 15 of the second.
 AROUND_CELLS, MIN_INTERLEAVED, MIN_TWO_LAYERS = 2, 10, 15
