@@ -32,7 +32,7 @@ SAME_LINE_DEG = 1.5
 # to .93 at 0.7.
 LINE_VOTE, FULL_LENGTH = 0.5, 0.114
 # Share of the lines that are along no axis, before and in the best coarse cell: its prior counts
-# as much as so many votes. tuned: flat from 1 to 5 votes and from 0.4 to 0.5. With a fixed share
+# as much as this many votes. tuned: flat from 1 to 5 votes and from 0.4 to 0.5. With a fixed share
 # 3 of 60 images of random strokes are answered, with this none.
 STRAY_LINES, STRAY_PRIOR_VOTES, STRAY_ROUNDS = 0.4, 5.0, 10
 # Errors of normals, of which the most likely one is taken. measured: with finer steps 1.5 degrees

@@ -48,7 +48,7 @@ USUAL_RATIO, LARGEST, LARGEST_SPREAD = 0.43, 0.45, 0.13
 # valid.
 CELLS_PER_ROW, LEAST_VALID = 40, 0.5
 # Normals within this angle of that of most others are one surface, which has one vote, if it has
-# this share of them; about so many are looked at. tuned: with a vote for each normal 41 of 56
+# this share of them; about this many are examined. tuned: with a vote for each normal 41 of 56
 # answers in attics are wrong, as the slopes of a roof are larger than floor and gable, here 8 of
 # 50; at 12 and 18 degrees, and with a share of 0.03 or 0.06, fewer parts of images are answered.
 SAME_SURFACE_DEG, LEAST_SURFACE, SURFACE_NORMALS = 15.0, 0.05, 200

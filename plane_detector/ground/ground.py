@@ -151,15 +151,15 @@ def find_ground(found: PlaneSegmentation, depth_m: np.ndarray, intrinsics: Camer
         is_exact = gravity.tolerance_deg <= LEVEL_DEG and gravity.source != 'image'
         for way_down in (down, gravity.gravity_camera)[:1 + is_exact]:
             flat |= are_flat(depth_m, labels, rays, way_down, surfaces.centroids[own],
-                              limits.min_height * unit_m, len(found.planes))
+                             limits.min_height * unit_m, len(found.planes))
         flat &= walkable
     joined, at_level, lower = ground_planes(surfaces, own, above, above_error, walkable, joins,
-                                             flat, steps, limits.max_step * unit_m)
+                                            flat, steps, limits.max_step * unit_m)
     if own == len(found.planes):  # no plane of it: its pieces are measured from its level
         pixels.table[joined & flat] = pixels.table[own]
     classes = classes_of(found, surfaces, above, joined, at_level, risers,
-                       STEP_RANGE_M if is_metric else 0.0, limits.max_slope + SLOPE_MARGIN_DEG,
-                       own if is_metric else -1)
+                         STEP_RANGE_M if is_metric else 0.0, limits.max_slope + SLOPE_MARGIN_DEG,
+                         own if is_metric else -1)
     if not is_metric:
         return Ground(classes, _nothing(labels, 'the unit of depth is not known',
                                         GroundLack.UNIT, tilt_deg), reach)

@@ -15,14 +15,15 @@ from plane_detector.types import PlaneSegmentation
 # changes there from .7 to 1.4 times a value unless stated.
 # Borders are sampled at every fourth pixel; fewer samples that join are chance.
 MIN_JOINS = 3
-# Of every eighth pixel: so many give the heights of a plane, of which this share may be off.
+# Of every eighth pixel: the least number that gives the heights of a plane, and the share of them
+# that may be off.
 MIN_SAMPLES, STRAY_SHARE = 10, 0.05
 
 
 def ground_planes(surfaces: Surfaces, own: int, above: np.ndarray, error: np.ndarray,
-                   walkable: np.ndarray, joins: np.ndarray, flat: np.ndarray,
-                   steps: np.ndarray, max_step: float
-                   ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+                  walkable: np.ndarray, joins: np.ndarray, flat: np.ndarray,
+                  steps: np.ndarray, max_step: float
+                  ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """
     Return the planes (K + 1,) that join the own floor, those at its level, and lower ones.
 
@@ -44,7 +45,7 @@ def ground_planes(surfaces: Surfaces, own: int, above: np.ndarray, error: np.nda
 
 
 def are_flat(depth_m: np.ndarray, labels: np.ndarray, rays: tuple[np.ndarray, np.ndarray],
-              down: np.ndarray, point_m: np.ndarray, most_m: float, count: int) -> np.ndarray:
+             down: np.ndarray, point_m: np.ndarray, most_m: float, count: int) -> np.ndarray:
     """Return which planes (K + 1,) are within some height of the level of a point."""
     pixels, off = count_off_level(depth_m, labels, *rays, down.astype(np.float32),
                                   point_m @ down, most_m, count + 1)
@@ -52,8 +53,8 @@ def are_flat(depth_m: np.ndarray, labels: np.ndarray, rays: tuple[np.ndarray, np
 
 
 def classes_of(found: PlaneSegmentation, surfaces: Surfaces, above: np.ndarray, joined: np.ndarray,
-             at_level: np.ndarray, risers: np.ndarray, step_range_m: float,
-             steepest_deg: float, own: int) -> np.ndarray:
+               at_level: np.ndarray, risers: np.ndarray, step_range_m: float,
+               steepest_deg: float, own: int) -> np.ndarray:
     """Return the class of each plane (K,)."""
     classes = np.append(classify_planes(found.planes, surfaces.down), np.uint8(PlaneClass.FLOOR))
     is_sure_slope = np.append(are_certain(found.planes, surfaces.down, steepest_deg), True)

@@ -22,9 +22,9 @@ HEIGHT_TOLERANCE = 0.1
 # tables up to .65, the floor beside them at least .1. Flat from .7 on, and from .01 to .1.
 # Heads of stairs that a rolled camera sees at a side: .55 to .74.
 MAJORITY, HALF, FEW_COLUMNS = 0.75, 0.5, 0.05
-# chosen: a robot stands farther than this from a straight edge before it, which is at most so much
-# off straight across its view. It is sought in so many directions, in spite of so large a share of
-# strays on the wrong side.
+# chosen: a robot stands farther than this from a straight edge before it. The largest angle of the
+# edge to a line straight across the view, the number of directions in which it is sought, and the
+# share of strays on the wrong side that is tolerated.
 ROBOT_M, MOST_SKEW_DEG, DIRECTIONS, EDGE_STRAYS = 0.5, 45.0, 19, 0.02
 # Pieces of one floor, as a network bends it, are at the same height of the camera within this
 # share; tables and seats, 1 to 1.8 m below a camera, are higher by at least .25 of it. Flat from
