@@ -29,9 +29,9 @@ from plane_detector.scale.methods import ScaleEvidence, apply_scale, estimate_sc
 from plane_detector.scale.temporal_filter import ScaleState, update_scale
 from plane_detector.segmentation.baselines import segment_by_paper
 from plane_detector.segmentation.cells.grid import lens_of
+from plane_detector.segmentation.cells.model import PixelRegions
 from plane_detector.segmentation.cells.noise import Noise
 from plane_detector.segmentation.cells.normal_slopes import NormalMap
-from plane_detector.segmentation.cells.pixel_regions import PixelRegions
 from plane_detector.segmentation.pixels.edge_snapping import GuideImage
 from plane_detector.segmentation.segment import metric_noise_floor, segment, unitless_noise_floor
 from plane_detector.types import PlaneSegmentation, ScaleEstimate

@@ -37,10 +37,10 @@ from plane_detector.ground.sensor_reach import NO_REACH, SensorReach
 from plane_detector.network_steps import NetworkSteps
 from plane_detector.planes.measurement import measured_segmentation
 from plane_detector.segmentation.baselines import segment_by_paper
-from plane_detector.segmentation.cells.constant_depth import without_constants
+from plane_detector.segmentation.cells.discarded import without_constants
 from plane_detector.segmentation.cells.grid import lens_of
+from plane_detector.segmentation.cells.model import PixelRegions
 from plane_detector.segmentation.cells.noise import Noise
-from plane_detector.segmentation.cells.pixel_regions import PixelRegions
 from plane_detector.segmentation.memory import NO_MEMORY, Memory
 from plane_detector.segmentation.segment import metric_noise_floor, segment_next
 from plane_detector.shapes.detector import ShapeDetector

@@ -22,9 +22,8 @@ from plane_detector.evaluation.scenes.rooms import box, random_room
 from plane_detector.evaluation.scenes.textures import textured
 from plane_detector.geometry.rigid_transform import RigidTransform
 from plane_detector.segmentation.cells.grid import DisparityImage, build_cell_grid
-from plane_detector.segmentation.cells.model import MEAN_WEIGHT, weigh_cells
+from plane_detector.segmentation.cells.model import MEAN_WEIGHT, PixelRegions, weigh_cells
 from plane_detector.segmentation.cells.noise import Noise
-from plane_detector.segmentation.cells.pixel_regions import PixelRegions
 from plane_detector.tracking.camera_motion import PlaneMotion
 from plane_detector.types import Plane, Planes
 

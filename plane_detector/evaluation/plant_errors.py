@@ -53,9 +53,6 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
     'ros/live_map.py': (
         ('CLICK_REACH_M = 0.1', 'CLICK_REACH_M = 5.0', 'a click in the air is answered'),
         ('jitter_m > 2 * self', 'jitter_m > 200 * self', 'jitter of the poses is not reported'),),
-    'segmentation/cells/pixel_regions.py': (
-        ('residual_rms=scale * grid.residual_rms',
-         'residual_rms=grid.residual_rms', 'residuals of cells in the unit before'),),
     'segmentation/regions/curved.py': (
         ('abs(xx + yy) / 2 + np.sqrt((xx - yy)**2 / 4 + xy**2)',
          'abs(xx + yy) / 2', 'the mean curvature for the largest'),),
@@ -82,7 +79,9 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
         ('size + (size - 1)', 'size + size + (size - 1)', 'rows off by one cell'),
         ('xy += sums[1, u]', 'xy -= sums[1, u]', 'sign of a mixed moment'),
         ('= xx * pixel**2 +', '= xx * pixel +', 'dropped factor of a moment'),
-        ('2 * of_d + n * d', 'of_d + n * d', 'dropped factor of the squared disparity')),
+        ('2 * of_d + n * d', 'of_d + n * d', 'dropped factor of the squared disparity'),
+        ('yy * xd - xy * yd', 'yy * xd + xy * yd', 'sign in the plane fit'),
+        ('[i, j] -= factor', '[i, j] += factor', 'sign in an elimination')),
     'segmentation/cells/noise.py': (
         ('least = share * LOCAL_RATIO', 'least = LOCAL_RATIO',
          'local noise without the own share of pixels'),
@@ -92,17 +91,16 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
          'lateral', 'lateral noise does not average out'),
         ('1 / noise.own_share if', 'noise.own_share if', 'the own share of pixels multiplied'),
         ('table[i, LOCAL_RATIO] = 1 + excess', 'table[i, LOCAL_RATIO] = 1',
-         'the ratio of local noise is not passed on')),
+         'the ratio of local noise is not passed on'),
+        ('residual_rms=scale * grid.residual_rms',
+         'residual_rms=grid.residual_rms', 'residuals of cells in the unit before')),
     'segmentation/cells/noise_correlation.py': (
         ('residuals[i] -= quadric', 'residuals[i] += quadric', 'bows are added'),),
     'segmentation/search/ransac.py': (
         ('return planes[:n], share', 'return planes[:n], 0.0', 'the same windows in each round'),),
-    'segmentation/regions/depth_steps.py': (
+    'segmentation/regions/model_selection.py': (
         ('2 * count[row, column] >=', '9 * count[row, column] >=',
          'a piece takes all cells that it touches'),),
-    'segmentation/cells/plane_fit.py': (
-        ('yy * xd - xy * yd', 'yy * xd + xy * yd', 'sign in the plane fit'),
-        ('[i, j] -= factor', '[i, j] += factor', 'sign in an elimination')),
     'segmentation/pixels/labelling.py': (
         ('1] + b * corner[0', '0] + b * corner[1', 'swapped axes of pixels'),
         ('* square * square', '* square', 'dropped factor in the tolerance of a pixel'),

@@ -21,7 +21,7 @@ from plane_detector.ground.sensor_reach import NO_REACH, SensorReach
 from plane_detector.ground.surfaces import LEVEL_DEG, SIGMAS, SLOPE_MARGIN_DEG, Seen, Surfaces
 from plane_detector.ground.ways import Ways, ways_over_ground
 from plane_detector.planes.classification import classify_planes
-from plane_detector.segmentation.cells.labels import rename_labels
+from plane_detector.segmentation.cells.model import rename_labels
 from plane_detector.types import (
     CameraIntrinsics,
     Gravity,

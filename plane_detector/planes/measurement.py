@@ -15,11 +15,7 @@ import numpy as np
 
 from plane_detector._runtime.compilation import kernel
 from plane_detector.planes.region_samples import MIN_COSINE
-from plane_detector.segmentation.cells.grid import lens_of
-from plane_detector.segmentation.cells.labels import relabel_sequential
-from plane_detector.segmentation.cells.noise import CORRELATED_CELLS, SLOPE_PER_NOISE
-from plane_detector.segmentation.cells.pixel_regions import PixelRegions
-from plane_detector.segmentation.cells.plane_fit import (
+from plane_detector.segmentation.cells.grid import (
     MIN_EIGENVALUE,
     XX,
     XY,
@@ -28,8 +24,11 @@ from plane_detector.segmentation.cells.plane_fit import (
     N,
     X,
     Y,
+    lens_of,
     squared_error,
 )
+from plane_detector.segmentation.cells.model import PixelRegions, relabel_sequential
+from plane_detector.segmentation.cells.noise import CORRELATED_CELLS, SLOPE_PER_NOISE
 from plane_detector.types import CameraIntrinsics, Planes, PlaneSegmentation
 
 # derived: the columns of the sums behind those of the moments: z x, z y and z of the plane at the

@@ -23,9 +23,8 @@ from plane_detector.geometry.projection import pixel_rays
 from plane_detector.geometry.rigid_transform import unit_vectors
 from plane_detector.planes.measurement import ray_plane_jacobian
 from plane_detector.planes.region_samples import MIN_COSINE
-from plane_detector.segmentation.cells.labels import count_labels
-from plane_detector.segmentation.cells.pixel_regions import PixelRegions
-from plane_detector.segmentation.cells.plane_fit import fit_planes
+from plane_detector.segmentation.cells.grid import fit_planes
+from plane_detector.segmentation.cells.model import PixelRegions, count_labels
 from plane_detector.types import CameraIntrinsics, Prediction
 
 STEP_PX = 3

@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from plane_detector._runtime.compilation import kernel
-from plane_detector.segmentation.cells.pixel_regions import PATCH_SCALE
+from plane_detector.segmentation.cells.model import PATCH_SCALE
 from plane_detector.types import NO_SHAPE_LABELS, CameraIntrinsics, Planes
 
 # A pixel off the plane of its patch by more than this share of its depth is on another surface.
@@ -57,7 +57,7 @@ def fill_patches(labels: np.ndarray, patches: np.ndarray, planes: Planes, depth_
     labels : (H, W) int32
         Index into the planes, -1 none.
     patches : (h, w) int32
-        As in :class:`~plane_detector.segmentation.cells.pixel_regions.PixelRegions`.
+        As in :class:`~plane_detector.segmentation.cells.model.PixelRegions`.
     planes : Planes
     depth_m : (H, W) floating
         NaN where invalid; such pixels keep -1.

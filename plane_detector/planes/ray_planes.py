@@ -14,10 +14,8 @@ import numpy as np
 
 from plane_detector.planes.measurement import normal_matrices, ray_plane_jacobian
 from plane_detector.scale.disparity_planes import DisparityPlanes
-from plane_detector.segmentation.cells.labels import count_labels
-from plane_detector.segmentation.cells.model import add_up
-from plane_detector.segmentation.cells.pixel_regions import PixelRegions
-from plane_detector.segmentation.cells.plane_fit import D, N, X, Y, squared_error
+from plane_detector.segmentation.cells.grid import D, N, X, Y, squared_error
+from plane_detector.segmentation.cells.model import PixelRegions, add_up, count_labels
 from plane_detector.types import CameraIntrinsics
 
 # derived: fewer than two cells of 8 x 8 pixels; one cell does not determine angles.

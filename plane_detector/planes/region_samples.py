@@ -13,7 +13,7 @@ import numpy as np
 from plane_detector._runtime.compilation import kernel
 from plane_detector.geometry.projection import pixel_rays
 from plane_detector.geometry.robust import SIGMA_PER_MEDIAN, median
-from plane_detector.segmentation.cells.pixel_regions import PixelRegions
+from plane_detector.segmentation.cells.model import PixelRegions
 from plane_detector.types import CameraIntrinsics, Planes
 
 # chosen: 30 in a region of a hundredth of the image, enough for means and spreads.

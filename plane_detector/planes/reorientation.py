@@ -23,8 +23,7 @@ from plane_detector.planes.orientation import (
 from plane_detector.planes.patches import colours_in_regions
 from plane_detector.planes.plane_axes import OWN_SIGMA_RAD, PLANE_VOTE, axes_of_planes
 from plane_detector.planes.region_samples import MIN_COSINE, sample_regions
-from plane_detector.segmentation.cells.labels import rename_labels
-from plane_detector.segmentation.cells.pixel_regions import PixelRegions
+from plane_detector.segmentation.cells.model import PixelRegions, rename_labels
 from plane_detector.types import CameraIntrinsics, Planes
 
 # Pieces of one plane touch and have equal normals and distances: largest differences in degrees,

@@ -20,12 +20,20 @@ from plane_detector._runtime.stopping import raise_if_stopped
 from plane_detector.config import Config, PaperConfig
 from plane_detector.geometry.disparity import to_depth, to_disparity, zero_filled
 from plane_detector.geometry.projection import depth_to_points
-from plane_detector.segmentation.cells.grid import CellGrid, DisparityImage, build_cell_grid
-from plane_detector.segmentation.cells.labels import count_labels, relabel_sequential
-from plane_detector.segmentation.cells.model import MAX_DEVIATIONS, Frame
+from plane_detector.segmentation.cells.grid import (
+    CellGrid,
+    DisparityImage,
+    build_cell_grid,
+    fit_planes,
+)
+from plane_detector.segmentation.cells.model import (
+    MAX_DEVIATIONS,
+    Frame,
+    PixelRegions,
+    count_labels,
+    relabel_sequential,
+)
 from plane_detector.segmentation.cells.noise import Noise, estimate_noise
-from plane_detector.segmentation.cells.pixel_regions import PixelRegions
-from plane_detector.segmentation.cells.plane_fit import fit_planes
 from plane_detector.segmentation.search.ransac import add_planes, no_planes
 from plane_detector.segmentation.segment import metric_noise_floor
 from plane_detector.types import CameraIntrinsics

@@ -10,10 +10,15 @@ import cv2
 import numpy as np
 
 from plane_detector._runtime.compilation import kernel
-from plane_detector.segmentation.cells.grid import DisparityImage, build_cell_grid, pixel_frame
-from plane_detector.segmentation.cells.labels import at_borders
-from plane_detector.segmentation.cells.model import Frame
-from plane_detector.segmentation.cells.plane_fit import N, X, Y
+from plane_detector.segmentation.cells.grid import (
+    DisparityImage,
+    N,
+    X,
+    Y,
+    build_cell_grid,
+    pixel_frame,
+)
+from plane_detector.segmentation.cells.model import Frame, at_borders
 from plane_detector.segmentation.pixels.labelling import label_more_pixels, pixel_tolerance
 from plane_detector.segmentation.regions.curved import find_curved
 from plane_detector.segmentation.regions.region_graph import BORDER_REACH_CELLS, RegionGraph

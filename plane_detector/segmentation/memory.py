@@ -21,9 +21,8 @@ from enum import IntEnum
 import numpy as np
 
 from plane_detector._runtime.compilation import kernel
-from plane_detector.segmentation.cells.grid import CellGrid
+from plane_detector.segmentation.cells.grid import CellGrid, fit_planes
 from plane_detector.segmentation.cells.model import MEAN_D, MEAN_WEIGHT, WeightedCells, add_up
-from plane_detector.segmentation.cells.plane_fit import fit_planes
 
 # Factor on the support of a plane of the image before.
 # tuned: a video of a standing sensor, and 12 draws of .05 % noise on 8 sensor frames, of seed 100:

@@ -17,10 +17,17 @@ import numpy as np
 from plane_detector._runtime.process import retain_freed_memory
 from plane_detector.config import Config
 from plane_detector.geometry.disparity import disparity_range, zero_filled
+from plane_detector.segmentation.cells.discarded import without_far_layer
 from plane_detector.segmentation.cells.grid import TYPICAL_LENS, DisparityImage, build_cell_grid
-from plane_detector.segmentation.cells.labels import rename_labels
-from plane_detector.segmentation.cells.layers import without_far_layer
-from plane_detector.segmentation.cells.model import MAX_DEVIATIONS, Frame, PlaneRegions
+from plane_detector.segmentation.cells.model import (
+    MAX_DEVIATIONS,
+    NO_FACETS,
+    NO_PATCHES,
+    Frame,
+    PixelRegions,
+    PlaneRegions,
+    rename_labels,
+)
 from plane_detector.segmentation.cells.noise import (
     DepthKind,
     Noise,
@@ -29,7 +36,6 @@ from plane_detector.segmentation.cells.noise import (
 )
 from plane_detector.segmentation.cells.noise_correlation import Correlation
 from plane_detector.segmentation.cells.normal_slopes import NormalMap, slopes_of
-from plane_detector.segmentation.cells.pixel_regions import NO_FACETS, NO_PATCHES, PixelRegions
 from plane_detector.segmentation.fine_pass import MIN_CELL_SHARE, add_small_planes
 from plane_detector.segmentation.memory import NO_MEMORY, Memory, Recall
 from plane_detector.segmentation.pixels.edge_snapping import (
@@ -38,16 +44,15 @@ from plane_detector.segmentation.pixels.edge_snapping import (
     patches_of_one_colour,
     snap_to_image_edges,
 )
-from plane_detector.segmentation.pixels.labelling import close_gaps, label_pixels
-from plane_detector.segmentation.pixels.smears import find_smears
+from plane_detector.segmentation.pixels.labelling import close_gaps, find_smears, label_pixels
 from plane_detector.segmentation.regions.competition import compete_for_cells, reassign_cells
 from plane_detector.segmentation.regions.curved import MAX_RADIUS_M, find_curved
-from plane_detector.segmentation.regions.depth_steps import split_at_depth_steps
 from plane_detector.segmentation.regions.merging import (
     join_nearly_flat,
     merge_bowed_walls,
     merge_coplanar,
 )
+from plane_detector.segmentation.regions.model_selection import split_at_depth_steps
 from plane_detector.segmentation.regions.region_graph import RegionGraph
 from plane_detector.segmentation.search.plane_search import search_planes, sees_creases
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from plane_detector._runtime.compilation import load_once
 from plane_detector.config import Config
-from plane_detector.segmentation.cells.pixel_regions import PixelRegions
+from plane_detector.segmentation.cells.model import PixelRegions
 from plane_detector.shapes.fitting import (
     FittedShape,
     criterion,

@@ -9,9 +9,8 @@ from functools import cached_property
 
 import numpy as np
 
-from plane_detector.segmentation.cells.grid import CellGrid
+from plane_detector.segmentation.cells.grid import CellGrid, N
 from plane_detector.segmentation.cells.noise import Noise
-from plane_detector.segmentation.cells.plane_fit import N
 from plane_detector.shapes.surface import DEVIATIONS
 from plane_detector.types import CameraIntrinsics
 

@@ -13,10 +13,9 @@ from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.evaluation.scenes.rendering import VGA, camera_rotation, rectangle, render
 from plane_detector.evaluation.scenes.surfaces import ellipsoid
 from plane_detector.geometry.disparity import to_disparity, zero_filled
-from plane_detector.segmentation.cells.grid import DisparityImage, build_cell_grid
+from plane_detector.segmentation.cells.grid import DisparityImage, build_cell_grid, fit_planes
 from plane_detector.segmentation.cells.model import Frame, PlaneRegions, add_up, weigh_cells
 from plane_detector.segmentation.cells.noise import Noise, estimate_noise
-from plane_detector.segmentation.cells.plane_fit import fit_planes
 from plane_detector.segmentation.segment import DEPTH_FLOOR_M, segment, unitless_noise_floor
 
 EXACT = Noise(DEPTH_FLOOR_M)

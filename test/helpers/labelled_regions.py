@@ -7,10 +7,9 @@ from __future__ import annotations
 import numpy as np
 
 from plane_detector.geometry.disparity import zero_filled
-from plane_detector.segmentation.cells.grid import DisparityImage, build_cell_grid
+from plane_detector.segmentation.cells.grid import DisparityImage, build_cell_grid, fit_planes
+from plane_detector.segmentation.cells.model import PixelRegions
 from plane_detector.segmentation.cells.noise import estimate_noise
-from plane_detector.segmentation.cells.pixel_regions import PixelRegions
-from plane_detector.segmentation.cells.plane_fit import fit_planes
 from plane_detector.segmentation.segment import unitless_noise_floor
 
 

@@ -15,9 +15,8 @@ from plane_detector.planes.measurement import (
     ray_plane_jacobian,
 )
 from plane_detector.segmentation.cells.grid import DisparityImage, build_cell_grid
-from plane_detector.segmentation.cells.labels import count_labels, relabel_sequential
+from plane_detector.segmentation.cells.model import PixelRegions, count_labels, relabel_sequential
 from plane_detector.segmentation.cells.noise import Noise
-from plane_detector.segmentation.cells.pixel_regions import PixelRegions
 
 
 def counted(labels, size, count):

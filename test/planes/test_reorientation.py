@@ -25,7 +25,7 @@ from plane_detector.planes.reorientation import (
     reorient,
 )
 from plane_detector.segmentation.cells.grid import DisparityImage, build_cell_grid
-from plane_detector.segmentation.cells.pixel_regions import PixelRegions
+from plane_detector.segmentation.cells.model import PixelRegions
 from plane_detector.segmentation.segment import metric_noise_floor, segment
 from plane_detector.types import CameraIntrinsics, Plane, Planes
 

@@ -39,7 +39,7 @@ from plane_detector.pipeline import PlaneDetector
 from plane_detector.planes.classification import PlaneClass
 from plane_detector.planes.ray_planes import ray_planes
 from plane_detector.scale.methods import ScaleEvidence, estimate_scale
-from plane_detector.segmentation.cells.pixel_regions import PixelRegions
+from plane_detector.segmentation.cells.model import PixelRegions
 from plane_detector.segmentation.segment import segment, unitless_noise_floor
 from plane_detector.types import CameraIntrinsics, ScaleEstimate
 

@@ -18,7 +18,7 @@ from plane_detector.mapping.plane_map import MapSnapshot
 from plane_detector.planes.outline import PlacedDetection
 from plane_detector.ros.calibration import NO_DISTORTION, Distortion
 from plane_detector.ros.outputs import messages
-from plane_detector.segmentation.cells.labels import rename_labels
+from plane_detector.segmentation.cells.model import rename_labels
 from plane_detector.stage_timer import StageTimer
 
 

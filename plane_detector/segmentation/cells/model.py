@@ -1,20 +1,31 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""An image in cells weighted by its noise, and the planes found on them."""
+"""An image in cells weighted by its noise; the planes found on them, by cells and by pixels."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
+import cv2
 import numpy as np
 
 from plane_detector._runtime.compilation import kernel
 from plane_detector.config import Config
-from plane_detector.segmentation.cells.grid import CellGrid, DisparityImage
-from plane_detector.segmentation.cells.labels import relabel_sequential
+from plane_detector.segmentation.cells.grid import (
+    DD,
+    XD,
+    YD,
+    CellGrid,
+    D,
+    DisparityImage,
+    N,
+    X,
+    Y,
+    add_moments,
+    fit_planes,
+)
 from plane_detector.segmentation.cells.noise import MAX_STEEPNESS, DepthKind, Noise
-from plane_detector.segmentation.cells.plane_fit import N, add_moments, fit_planes
 
 # derived: columns of WeightedCells.table: means of x, y and d, dd/dx and dd/dy, the inverse
 # variances of these means and slopes, the expected squared error of the pixels about a plane, and
@@ -42,6 +53,9 @@ LATERAL_WINDOW_PX = 4.0
 MAX_LOCAL_RATIO = 400.0
 # chosen: avoids division by 0 for cells without depth; any positive number works.
 MIN_VARIANCE = 1e-30
+# chosen: a sixteenth of the pixels; a patch that is narrower on the image holds few of them.
+PATCH_SCALE = 4
+NO_PATCHES = NO_FACETS = np.zeros((0, 0), np.int32)
 
 
 @dataclass(frozen=True)
@@ -195,3 +209,123 @@ def fit_regions(cells: WeightedCells, labels: np.ndarray, count: int,
     planes = fit_planes(moments)
     kept = np.flatnonzero((moments[:, N] >= max(min_pixels, 1.0)) & ~np.isnan(planes[:, 0]))
     return PlaneRegions(relabel_sequential(labels, kept, count), planes[kept])
+
+
+def relabel_sequential(labels: np.ndarray, kept: np.ndarray, count: int) -> np.ndarray:
+    """Return labels in which ``kept`` of ``count`` labels are 0, 1, ..., all others -1."""
+    names = np.full(count, -1, np.int32)
+    names[kept] = np.arange(len(kept))
+    return rename_labels(labels, names)
+
+
+def rename_labels(labels: np.ndarray, names: np.ndarray, none: int = -1) -> np.ndarray:
+    """Return labels (H, W) int32 in which k is ``names[k]``, and -1 is ``none``."""
+    if none == -1 and names.tolist() == list(range(len(names))):
+        return labels
+    return _renamed(np.ascontiguousarray(labels, np.int32),
+                    np.concatenate([[none], names]).astype(np.int32))
+
+
+@kernel('int32[:, ::1](int32[:, ::1], int32[::1])')
+def _renamed(labels, names):
+    found = np.empty_like(labels)
+    for i in range(labels.shape[0]):
+        for j in range(labels.shape[1]):
+            found[i, j] = names[np.uint32(labels[i, j] + 1)]  # unsigned: no wrap-around check
+    return found
+
+
+def at_borders(labels: np.ndarray, reach: int) -> np.ndarray:
+    """Return which labels (H, W) int32 have another so near in rows and columns, (H, W) bool."""
+    square, values = np.ones((2 * reach + 1,) * 2, np.uint8), labels.astype(np.int16)
+    return cv2.dilate(values, square) != cv2.erode(values, square)
+
+
+def count_labels(grid: CellGrid, labels: np.ndarray, count: int) -> np.ndarray:
+    """Return the number of pixels of each label in each cell, (R * C, K) float64."""
+    return _count(np.ascontiguousarray(labels), grid.size_px, count)
+
+
+@kernel('float64[:, ::1](int32[:, ::1], int64, int64)')
+def _count(labels, size, count):
+    height, width = labels.shape
+    columns = -(-width // size)
+    counts = np.zeros((-(-height // size) * columns, count))
+    for v in range(height):
+        for column in range(columns):
+            cell = v // size * columns + column
+            for u in range(column * size, min(column * size + size, width)):
+                if labels[v, u] >= 0:
+                    counts[cell, labels[v, u]] += 1
+    return counts
+
+
+@dataclass(frozen=True)
+class PixelRegions:
+    """Regions of pixels, each on one plane, in the unit of the disparity."""
+
+    disparity: np.ndarray  # (H, W) float32: 0 where invalid
+    # (H, W) int32: index into ``coefficients``, -1 for no plane and where disparity is invalid
+    labels: np.ndarray
+    # (K, 3) float64: a, b, c of d = a x + b y + c in the coordinates of the cells; some may have
+    # no pixels
+    coefficients: np.ndarray
+    grid: CellGrid  # of this disparity
+    noise: Noise  # of this disparity
+    # area over which the smooth part of the noise is the same, in pixels; 0: not known
+    correlated_px: float = 0.0
+    # float or (K,) float64: probability that the regions are oriented as their planes, where not
+    # the depth alone decides
+    certainty: float | np.ndarray = 1.0
+    # float or (K,) float64: probability that they are horizontal, vertical or neither as their
+    # planes, where not the depth alone decides; NaN: it does
+    class_certainty: float | np.ndarray = np.nan
+    # float or (K,) float64: angle by which normals of a network have rotated each from its depth
+    rotated_rad: float | np.ndarray = 0.0
+    # (h, w) int32: for every PATCH_SCALE-th row and column, the patch of one colour of the image,
+    # each one surface of the scene; 0 none. Of no size if only the depth decides
+    patches: np.ndarray = field(default_factory=NO_PATCHES.copy)
+    # (H, W) int32: as ``labels``, for the pixels of curved surfaces, which are no planes, but are
+    # made of pieces that are flat within the noise. Of no size if there are none
+    facets: np.ndarray = field(default_factory=NO_FACETS.copy)
+
+    def rescaled(self, scale: float, shift: float) -> PixelRegions:
+        """Return the same regions in the unit of 1/z = scale * disparity + shift, scale > 0."""
+        if scale == 1 and shift == 0:
+            return self
+        return replace(self, disparity=np.float32(scale) * self.disparity + np.float32(shift),
+                       coefficients=scale * self.coefficients + [0.0, 0.0, shift],
+                       grid=_rescaled_grid(self.grid, scale, shift),
+                       noise=self.noise.rescaled(scale))
+
+    def mesh_shares(self) -> np.ndarray:
+        """Return the share (K,) of the pixels of each region that lie in cells of a mesh."""
+        count, (height, width) = len(self.coefficients), self.labels.shape
+        if not self.grid.is_mesh.any():
+            return np.zeros(count)
+        cells = self.grid.is_mesh.reshape(self.grid.shape)
+        is_mesh = cells.repeat(self.grid.size_px, 0).repeat(self.grid.size_px, 1)[:height, :width]
+        mesh, all_pixels = (np.bincount(labels[labels >= 0], minlength=count)
+                            for labels in (self.labels[is_mesh], self.labels))
+        return mesh / np.maximum(all_pixels, 1)
+
+    def of_facets(self) -> PixelRegions:
+        """Return the regions of the pieces of curved surfaces instead of those of planes."""
+        return replace(self, labels=self.facets, facets=NO_FACETS)
+
+    def restricted_to(self, valid: np.ndarray) -> PixelRegions:
+        """Return the regions without the pixels where ``valid`` (H, W) bool is False."""
+        facets = np.where(valid, self.facets, -1) if self.facets.size else self.facets
+        return replace(self, labels=np.where(valid, self.labels, -1), facets=facets)
+
+
+def _rescaled_grid(grid: CellGrid, scale: float, shift: float) -> CellGrid:
+    """Substitute scale * d + shift for d in the sums over the pixels of each cell."""
+    moments, mean = grid.moments.copy(), grid.mean.copy()
+    n, x, y, d, xd, yd, dd = grid.moments[:, [N, X, Y, D, XD, YD, DD]].T
+    moments[:, D] = scale * d + shift * n
+    moments[:, XD], moments[:, YD] = scale * xd + shift * x, scale * yd + shift * y
+    moments[:, DD] = scale * (scale * dd + 2 * shift * d) + shift**2 * n
+    mean[:, 2] = moments[:, D] / np.maximum(n, 1)
+    return replace(grid, moments=moments, mean=mean, slope=scale * grid.slope,
+                   residual_rms=scale * grid.residual_rms, normal_slope=scale * grid.normal_slope)

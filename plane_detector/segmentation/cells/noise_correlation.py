@@ -17,6 +17,7 @@ import numpy as np
 
 from plane_detector._runtime.compilation import kernel
 from plane_detector.geometry.robust import SIGMA_PER_MEDIAN, median
+from plane_detector.segmentation.cells.grid import solve_least_squares
 from plane_detector.segmentation.cells.model import (
     LOCAL_RATIO,
     MEAN_X,
@@ -26,7 +27,6 @@ from plane_detector.segmentation.cells.model import (
     residual,
 )
 from plane_detector.segmentation.cells.noise import Noise
-from plane_detector.segmentation.cells.plane_fit import solve_least_squares
 
 # The planes of smaller regions fit the noise itself, and their residuals are too small.
 # tuned: on rooms and lived-in rooms below seed 9000; flat from 70 to 140.

@@ -31,9 +31,8 @@ import numpy as np
 
 from plane_detector._runtime.compilation import kernel
 from plane_detector.geometry.robust import median
-from plane_detector.segmentation.cells.labels import at_borders
+from plane_detector.segmentation.cells.model import PATCH_SCALE, at_borders
 from plane_detector.segmentation.cells.noise import Noise
-from plane_detector.segmentation.cells.pixel_regions import PATCH_SCALE
 
 # Half the size is accurate enough at a quarter of the work.
 # chosen: a quarter of the pixels, borders good to two.

@@ -24,19 +24,18 @@ import numpy as np
 
 from plane_detector._runtime.compilation import kernel
 from plane_detector.config import DbscanConfig
-from plane_detector.segmentation.cells.labels import at_borders
 from plane_detector.segmentation.cells.model import (
     MAX_DEVIATIONS,
     MEAN_WEIGHT,
     Frame,
     PlaneRegions,
+    at_borders,
     chi_squared,
     fit_regions,
     residual,
 )
 from plane_detector.segmentation.cells.noise_correlation import MIN_REGION_CELLS, Correlation
-from plane_detector.segmentation.search.dbscan import label_clusters
-from plane_detector.segmentation.search.ransac import MAX_TRIALS
+from plane_detector.segmentation.search.ransac import MAX_TRIALS, label_clusters
 
 # Cost of no plane, in squared thresholds.
 # tuned: rooms, lived-in rooms and curved scenes below seed 9000; not flat: at noise 0.01 0.06 more

@@ -17,9 +17,7 @@ from __future__ import annotations
 import numpy as np
 
 from plane_detector._runtime.compilation import kernel
-from plane_detector.segmentation.cells.model import MAX_DEVIATIONS, MIN_VARIANCE
-from plane_detector.segmentation.cells.noise_correlation import Correlation
-from plane_detector.segmentation.cells.plane_fit import (
+from plane_detector.segmentation.cells.grid import (
     XX,
     XY,
     YY,
@@ -30,6 +28,8 @@ from plane_detector.segmentation.cells.plane_fit import (
     normal_of,
     solve_least_squares,
 )
+from plane_detector.segmentation.cells.model import MAX_DEVIATIONS, MIN_VARIANCE
+from plane_detector.segmentation.cells.noise_correlation import Correlation
 from plane_detector.segmentation.regions.region_graph import (
     PLANE_TERMS,
     PRODUCTS,

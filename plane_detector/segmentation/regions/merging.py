@@ -31,17 +31,7 @@ import numpy as np
 
 from plane_detector._runtime.compilation import kernel
 from plane_detector.config import SegmentationConfig
-from plane_detector.segmentation.cells.model import (
-    MAX_DEVIATIONS,
-    MAX_JOINT_VARIANCES,
-    MEAN_WEIGHT,
-    MIN_VARIANCE,
-    WeightedCells,
-    residual,
-)
-from plane_detector.segmentation.cells.noise_correlation import Correlation
-from plane_detector.segmentation.cells.normal_slopes import MIN_NORMAL_ERROR_DEG
-from plane_detector.segmentation.cells.plane_fit import (
+from plane_detector.segmentation.cells.grid import (
     XX,
     XY,
     YY,
@@ -53,6 +43,16 @@ from plane_detector.segmentation.cells.plane_fit import (
     normal_of,
     squared_error,
 )
+from plane_detector.segmentation.cells.model import (
+    MAX_DEVIATIONS,
+    MAX_JOINT_VARIANCES,
+    MEAN_WEIGHT,
+    MIN_VARIANCE,
+    WeightedCells,
+    residual,
+)
+from plane_detector.segmentation.cells.noise_correlation import Correlation
+from plane_detector.segmentation.cells.normal_slopes import MIN_NORMAL_ERROR_DEG
 from plane_detector.segmentation.memory import CLEAR, Decision, Recall
 from plane_detector.segmentation.regions.curved import MAX_RATIO, MIN_NOISE_SHARE, fit_quadric
 from plane_detector.segmentation.regions.model_selection import MAX_CELLS, prefer_two_planes

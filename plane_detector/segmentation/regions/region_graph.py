@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from plane_detector._runtime.compilation import kernel
-from plane_detector.segmentation.cells.labels import relabel_sequential
+from plane_detector.segmentation.cells.grid import N, add_moments, fit_plane, normal_of
 from plane_detector.segmentation.cells.model import (
     MEAN_D,
     MEAN_WEIGHT,
@@ -24,8 +24,8 @@ from plane_detector.segmentation.cells.model import (
     MIN_VARIANCE,
     PlaneRegions,
     WeightedCells,
+    relabel_sequential,
 )
-from plane_detector.segmentation.cells.plane_fit import N, add_moments, fit_plane, normal_of
 
 # derived: cells at this distance touch, because a cell that straddles the border may lie between
 # them.

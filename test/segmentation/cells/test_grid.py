@@ -8,9 +8,15 @@ from cell_helpers import noisy, view, wall
 
 from plane_detector.config import Config
 from plane_detector.geometry.disparity import to_disparity
-from plane_detector.segmentation.cells.grid import DisparityImage, build_cell_grid, pixel_frame
+from plane_detector.segmentation.cells.grid import (
+    DisparityImage,
+    build_cell_grid,
+    fit_plane,
+    fit_planes,
+    pixel_frame,
+    squared_error,
+)
 from plane_detector.segmentation.cells.noise import Noise
-from plane_detector.segmentation.cells.plane_fit import fit_plane, fit_planes, squared_error
 from plane_detector.segmentation.segment import segment, unitless_noise_floor
 
 SHAPE = (250, 333)

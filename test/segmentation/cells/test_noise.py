@@ -21,7 +21,7 @@ from plane_detector import segment_planes
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.evaluation.scenes.rendering import VGA
 from plane_detector.evaluation.scenes.rooms import single_wall
-from plane_detector.segmentation.cells.grid import DisparityImage, build_cell_grid
+from plane_detector.segmentation.cells.grid import DisparityImage, build_cell_grid, fit_planes
 from plane_detector.segmentation.cells.model import (
     LOCAL_RATIO,
     MAX_LOCAL_RATIO,
@@ -38,7 +38,6 @@ from plane_detector.segmentation.cells.noise import (
     with_quantisation,
 )
 from plane_detector.segmentation.cells.noise_correlation import Correlation
-from plane_detector.segmentation.cells.plane_fit import fit_planes
 
 FLOOR = Noise(0.0005)
 

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from cell_helpers import EXACT, cell_model, frame_of, noisy, view, wall
 
-from plane_detector.segmentation.cells.labels import at_borders
-from plane_detector.segmentation.cells.model import PlaneRegions
+from plane_detector.segmentation.cells.model import PlaneRegions, at_borders
 from plane_detector.segmentation.cells.noise import Noise
 from plane_detector.segmentation.cells.noise_correlation import Correlation
 from plane_detector.segmentation.regions import competition

@@ -24,8 +24,11 @@ from plane_detector.evaluation.scenes.rendering import VGA
 from plane_detector.segmentation.cells.model import MEAN_WEIGHT
 from plane_detector.segmentation.cells.noise_correlation import Correlation
 from plane_detector.segmentation.regions import model_selection as seams
-from plane_detector.segmentation.regions.depth_steps import _with_piece, split_at_depth_steps
-from plane_detector.segmentation.regions.model_selection import prefer_two_planes
+from plane_detector.segmentation.regions.model_selection import (
+    _with_piece,
+    prefer_two_planes,
+    split_at_depth_steps,
+)
 
 SEEDS = range(12)
 WALL_M = 2.5

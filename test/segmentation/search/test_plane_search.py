@@ -14,9 +14,13 @@ from plane_detector.evaluation.datasets import labelled_frames
 from plane_detector.segmentation.cells.grid import build_cell_grid
 from plane_detector.segmentation.cells.model import Frame
 from plane_detector.segmentation.cells.noise import DepthKind
-from plane_detector.segmentation.search.dbscan import cell_places, label_clusters
 from plane_detector.segmentation.search.plane_search import search_planes
-from plane_detector.segmentation.search.ransac import WIDEST_WINDOW_CELLS, draw_planes
+from plane_detector.segmentation.search.ransac import (
+    WIDEST_WINDOW_CELLS,
+    cell_places,
+    draw_planes,
+    label_clusters,
+)
 
 ROOMS = (3, 7, 11)
 # Of the variance of the noise, half is smooth over the image and half is grain.
