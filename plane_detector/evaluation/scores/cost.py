@@ -247,10 +247,12 @@ class Reading:
     @property
     def numbers(self) -> tuple[int, int]:
         """How many files of the package, and functions in them."""
-        own = [code for code in self.codes if code.co_filename.startswith(str(PACKAGE))
+        # By their places: a loop that Python calls may show a code object of numba too.
+        own = {(code.co_filename, code.co_firstlineno) for code in self.codes
+               if code.co_filename.startswith(str(PACKAGE))
                and not code.co_filename.startswith(str(PACKAGE / 'evaluation'))
-               and not code.co_name.startswith('<')]
-        return len({code.co_filename for code in own}), len(own)
+               and not code.co_name.startswith('<')}
+        return len({file for file, _ in own}), len(own)
 
 
 def reading(draw: Draw) -> Values:
