@@ -42,8 +42,8 @@ def test_snippet_finds_the_described_wall(capsys):
     exec(compile(snippet, 'README.md', 'exec'), names)
     promised = [line.split('# ')[1] for line in snippet.splitlines() if 'print(' in line][:2]
     assert capsys.readouterr().out.splitlines()[:2] == promised
-    assert len(names['found'].labels) == 480
-    assert len(names['found'].planes) == 1
+    assert len(names['detection'].labels) == 480
+    assert len(names['detection'].planes) == 1
 
 
 def test_make_targets_exist():
