@@ -35,6 +35,7 @@ from plane_detector.geometry.projection import as_depth, as_image
 from plane_detector.ground.ground import find_ground
 from plane_detector.ground.sensor_reach import NO_REACH, SensorReach
 from plane_detector.network_steps import NetworkSteps
+from plane_detector.planes.history import NO_HISTORY, PlaneHistory
 from plane_detector.planes.measurement import measured_segmentation
 from plane_detector.segmentation.baselines import segment_by_paper
 from plane_detector.segmentation.cells.discarded import without_constants
@@ -132,6 +133,7 @@ class _PlaneState:
     tracker: PlaneTracker = field(default_factory=PlaneTracker)
     shapes: ShapeDetector = field(default_factory=ShapeDetector)
     reach: SensorReach = NO_REACH
+    history: PlaneHistory = NO_HISTORY
 
 
 class PlaneDetector:
@@ -308,8 +310,16 @@ class PlaneDetector:
             if not shape_note:
                 planes, shapes, shape_labels = state.shapes.detect(
                     depth_m, planes, regions, observation.intrinsics, config)
+        with timer('tracking'):
+            # 5. Labels that are stable from image to image, and with them averages.
+            planes = state.tracker.update(planes, config.tracking)
+            remembers = (config.segmentation.memory and config.tracking.enabled
+                         and observation.is_measured)
+            past = (state.history if remembers else NO_HISTORY).of(planes.planes)
+            planes = replace(planes, planes=replace(
+                planes.planes, confidences=past.mean_confidences(planes.planes)))
         with timer('ground'):
-            # 5. Own floor, ramps, obstacles and drops, if angles are true and gravity is known.
+            # 6. Own floor, ramps, obstacles and drops, if angles are true and gravity is known.
             gravity = surroundings.gravity if scale.has_true_angles else NO_GRAVITY
             surfaces = (planes if gravity.gravity_camera is None else
                         _with_facets(planes, regions, observation.intrinsics, config))
@@ -317,15 +327,13 @@ class PlaneDetector:
                                  state.reach, plane_count=len(planes.planes),
                                  is_metric=scale.is_metric,
                                  doubt=observation.scale_warning,
-                                 constants_m=observation.constants_m)
+                                 constants_m=observation.constants_m, past=past)
             state.reach = ground.reach
             if ground.fronts is not None:
                 depth_m = np.where(ground.fronts, observation.constants_m, depth_m)
             planes = replace(planes, planes=replace(
                 planes.planes, classes=ground.classes[:len(planes.planes)]))
-        with timer('tracking'):
-            # 6. Labels that are stable from image to image.
-            planes = state.tracker.update(planes, config.tracking)
+            state.history = ground.past.after(planes.planes)
             self._directions.at(observation.epoch).note_planes(planes, is_trusted=(
                 observation.is_measured and surroundings.gravity.gravity_camera is not None))
         with timer('patches'):

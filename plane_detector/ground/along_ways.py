@@ -37,6 +37,9 @@ EDGE_GAP_M, EDGE_GAP_PX = 0.15, 24
 # first is the range asked for: at .7 of it a quarter of the ends of all is missed, at twice it
 # a view is false. The second is for depth images with a border without depth.
 VOID_NEAR_M, VOID_LENGTH_M = 3.0, 0.4
+# Of two imagers, one sees a strip at its side that the other does not, as wide as they are apart.
+# chosen: the widest of usual stereo cameras, 5 to 12 cm; rows beside are so many pixels away.
+BASELINE_M, BESIDE_PX = 0.12, 16
 # derived: a vertical riser leads from the near to the far level; looking down by 40 degrees, the
 # depth changes by this share of its height at most, a table's edge before the floor by more.
 RISER_DEPTH = 0.7
@@ -397,30 +400,38 @@ def mark_drops(depth_m, labels, ground, lines, ways, ray_x, ray_y, planes, down,
                     end[w], end_k[w], end_z[w], lower[w], mixed[w] = i, k, 0.0, 0, 0
                 elif k < 0 and own == planes_count:  # the own floor is no plane
                     end[w], end_k[w], end_z[w], lower[w], mixed[w] = i, own, z, 0, 0
-    # A border at the side that never has depth ends a way, as the border of the image does.
-    nearest, farthest = np.empty(2, np.int64), np.zeros(2, np.int64)
-    nearest[0], nearest[1] = width, height
+    # A border at the side that never has depth ends a way, as the border of the image does; so
+    # does the strip that one imager of two sees alone, unless there is depth in rows beside.
+    size = max(width, height)
+    nearest, farthest = np.full((2, size), size, np.int64), np.full((2, size), -1, np.int64)
     for v in range(0, height, 4):
         for u in range(0, width, 4):
             if depth_m[v, u] >= MIN_DEPTH_M and depth_m[v, u] < np.inf:
-                nearest[0], nearest[1] = min(nearest[0], u), min(nearest[1], v)
-                farthest[0], farthest[1] = max(farthest[0], u), max(farthest[1], v)
+                nearest[0, v], nearest[1, u] = min(nearest[0, v], u), min(nearest[1, u], v)
+                farthest[0, v], farthest[1, u] = max(farthest[0, v], u), max(farthest[1, u], v)
     for w in range(0, ways, 2):
         e = end_k[w]
         if e < 0 or count == len(found):
             continue
-        i = len(lines) - 1
+        x_end, y_end = _ray_at(lines, end[w], w, ray_x, ray_y)
+        z_end = end_z[w]
+        if z_end == 0.0:
+            z_end = _depth_on(planes, e, x_end, y_end)
+        axis, i = lines[end[w], 3], len(lines) - 1
+        at, last, rays = ((lines[end[w], 1], width - 1, ray_x) if axis == 0
+                          else (lines[end[w], 0], height - 1, ray_y))
+        strip = BASELINE_M / (z_end * (rays[1] - rays[0]))
+        begin, stop = max(at - BESIDE_PX, 0), at + BESIDE_PX + 1
+        low = max(nearest[axis].min(), min(nearest[axis, begin:stop].min(), strip)) + BORDER_PX
+        high = min(farthest[axis].max(),
+                   max(farthest[axis, begin:stop].max(), last - strip)) - BORDER_PX
         while i > end[w] and not (lines[i, 6] <= w < lines[i, 7]
-                                  and nearest[lines[i, 3]] + BORDER_PX <= _position(lines, i, w)
-                                  <= farthest[lines[i, 3]] - BORDER_PX):
+                                  and low <= _position(lines, i, w) <= high):
             i -= 1
         if i == end[w]:
             continue
-        x_end, y_end = _ray_at(lines, end[w], w, ray_x, ray_y)
         x, y = _ray_at(lines, i, w, ray_x, ray_y)
-        z, z_end = np.float64(_depth_on(planes, e, x, y)), end_z[w]
-        if z_end == 0.0:
-            z_end = _depth_on(planes, e, x_end, y_end)
+        z = np.float64(_depth_on(planes, e, x, y))
         near = z_end * _far(down, x_end, y_end)
         if near <= VOID_NEAR_M and (z < 0 or z * _far(down, x, y) > near + VOID_LENGTH_M):
             row = found[count]

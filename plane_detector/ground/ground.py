@@ -21,6 +21,7 @@ from plane_detector.ground.sensor_reach import NO_REACH, SensorReach
 from plane_detector.ground.surfaces import LEVEL_DEG, SIGMAS, SLOPE_MARGIN_DEG, Seen, Surfaces
 from plane_detector.ground.ways import Ways, ways_over_ground
 from plane_detector.planes.classification import classify_planes
+from plane_detector.planes.history import NO_HISTORY, PlaneHistory
 from plane_detector.segmentation.cells.model import rename_labels
 from plane_detector.types import (
     CameraIntrinsics,
@@ -55,12 +56,14 @@ class Ground:
     reach: SensorReach  # with what this image shows of it
     fronts: np.ndarray | None = None  # (H, W) bool, constants in depth that are obstacles
     constant_note: str = ''  # what constants in depth may be
+    past: PlaneHistory = NO_HISTORY  # of the planes, with their inclinations in this image
 
 
 def find_ground(found: PlaneSegmentation, depth_m: np.ndarray, intrinsics: CameraIntrinsics,
                 gravity: Gravity, config: Config, reach: SensorReach = NO_REACH, *,
                 plane_count: int | None = None, is_metric: bool = True, doubt: str = '',
-                constants_m: np.ndarray | None = None) -> Ground:
+                constants_m: np.ndarray | None = None,
+                past: PlaneHistory = NO_HISTORY) -> Ground:
     """
     Find the ground of an image.
 
@@ -85,6 +88,8 @@ def find_ground(found: PlaneSegmentation, depth_m: np.ndarray, intrinsics: Camer
         Why lengths mean nothing, which then is the note instead of drops.
     constants_m : (H, W) float32, optional
         Depth that repeats exactly and was removed, NaN elsewhere.
+    past : PlaneHistory, optional
+        Of the planes in the images of the stream before; by default they are new.
 
     Returns
     -------
@@ -94,11 +99,12 @@ def find_ground(found: PlaneSegmentation, depth_m: np.ndarray, intrinsics: Camer
     limits, labels = config.ground, np.ascontiguousarray(found.labels, np.int32)
     unknown = np.zeros(len(found.planes), np.uint8)
     if gravity.gravity_camera is None:
-        return Ground(unknown, _nothing(labels, 'the direction of gravity is not known'), reach)
+        return Ground(unknown, _nothing(labels, 'the direction of gravity is not known'), reach,
+                      past=past)
     if min(labels.shape) < LEAST_PX:
         return Ground(unknown, _nothing(labels, f'an image of {labels.shape[1]} x '
                                         f'{labels.shape[0]} pixels is too small for ground',
-                                        GroundLack.DEPTH), reach)
+                                        GroundLack.DEPTH), reach, past=past)
     # 1. and 2. The direction down and the own floor.
     known_m = config.scale.camera_height if is_metric else 0.0
     depth_m, rays = np.ascontiguousarray(depth_m, np.float32), pixel_rays(intrinsics)
@@ -117,26 +123,27 @@ def find_ground(found: PlaneSegmentation, depth_m: np.ndarray, intrinsics: Camer
             known_m, down, own = rough_m, gravity.gravity_camera, len(found.planes)
     if down is None:
         return Ground(unknown, _nothing(
-            labels, 'the direction of gravity is known too coarsely'), reach)
+            labels, 'the direction of gravity is known too coarsely'), reach, past=past)
     surfaces, down32 = Surfaces.of(found, down, known_m), down.astype(np.float32)
+    past = past.inclined(found.planes, down)
     tilt_deg = float(np.degrees(np.arcsin(np.clip(down[2], -1, 1))))
     pixels = SeenGround(depth_m, labels, ways, rays, intrinsics.fx, surfaces.table(),
                         np.zeros(len(found.planes) + 1, bool), -1, down32, limits,
                         float(found.disparity_noise), reach, config.depth.max_range,
                         'no floor is seen', tilt_deg)
     if valid_depth(depth_m[::8, ::8]).mean() < SEEN_SHARE:
-        return Ground(classify_planes(found.planes, down), _nothing(
+        return Ground(classify_planes(found.planes, down, past), _nothing(
             labels, 'nothing is seen: hardly any pixel has a depth up to '
-            f'{config.depth.max_depth:g} m', GroundLack.DEPTH, tilt_deg), reach)
+            f'{config.depth.max_depth:g} m', GroundLack.DEPTH, tilt_deg), reach, past=past)
     if is_metric:
         reach = reach.extended(depth_m, intrinsics, config.depth.max_depth)
         pixels = replace(pixels, reach=reach)
     if own is None:
-        classes = classify_planes(found.planes, down)
+        classes = classify_planes(found.planes, down, past)
         if not is_metric:
             return Ground(classes, _nothing(labels, pixels.doubt, GroundLack.UNIT, tilt_deg),
-                          reach)
-        return Ground(classes, *_with_fronts(pixels, constants_m))
+                          reach, past=past)
+        return Ground(classes, *_with_fronts(pixels, constants_m), past=past)
     height_m = float(surfaces.heights()[own])
     unit_m = 1.0 if is_metric else height_m
     # 3. What joins it.
@@ -159,10 +166,10 @@ def find_ground(found: PlaneSegmentation, depth_m: np.ndarray, intrinsics: Camer
         pixels.table[joined & flat] = pixels.table[own]
     classes = classes_of(found, surfaces, above, joined, at_level, risers,
                          STEP_RANGE_M if is_metric else 0.0, limits.max_slope + SLOPE_MARGIN_DEG,
-                         own if is_metric else -1)
+                         own if is_metric else -1, past)
     if not is_metric:
         return Ground(classes, _nothing(labels, 'the unit of depth is not known',
-                                        GroundLack.UNIT, tilt_deg), reach)
+                                        GroundLack.UNIT, tilt_deg), reach, past=past)
     # 4. and 5. Pixels and drops.
     error_m = SIGMAS * float(found.disparity_noise) * TOLD_AT_M * height_m
     if not doubt and error_m > LARGEST_ERROR_M:
@@ -180,7 +187,7 @@ def find_ground(found: PlaneSegmentation, depth_m: np.ndarray, intrinsics: Camer
     mounting = None if is_piece else _mounting(found, seen, ways, gravity, config, own)
     return Ground(classes, *_with_fronts(replace(
         pixels, is_ground=is_ground, own=own, doubt=doubt, camera_height_m=height_m,
-        mounting=mounting), constants_m))
+        mounting=mounting), constants_m), past=past)
 
 
 def _with_fronts(pixels: SeenGround, constants_m: np.ndarray | None

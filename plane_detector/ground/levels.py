@@ -9,6 +9,7 @@ import numpy as np
 from plane_detector.ground.along_ways import count_off_level
 from plane_detector.ground.surfaces import LEVEL_DEG, SIGMAS, Surfaces
 from plane_detector.planes.classification import PlaneClass, are_certain, classify_planes
+from plane_detector.planes.history import PlaneHistory
 from plane_detector.types import PlaneSegmentation
 
 # Tuned by benchmark ground on seeds below 9000, unless derived or given by contract; nothing
@@ -54,10 +55,12 @@ def are_flat(depth_m: np.ndarray, labels: np.ndarray, rays: tuple[np.ndarray, np
 
 def classes_of(found: PlaneSegmentation, surfaces: Surfaces, above: np.ndarray, joined: np.ndarray,
                at_level: np.ndarray, risers: np.ndarray, step_range_m: float,
-               steepest_deg: float, own: int) -> np.ndarray:
+               steepest_deg: float, own: int, past: PlaneHistory) -> np.ndarray:
     """Return the class of each plane (K,)."""
-    classes = np.append(classify_planes(found.planes, surfaces.down), np.uint8(PlaneClass.FLOOR))
-    is_sure_slope = np.append(are_certain(found.planes, surfaces.down, steepest_deg), True)
+    classes = np.append(classify_planes(found.planes, surfaces.down, past),
+                        np.uint8(PlaneClass.FLOOR))
+    is_sure_slope = np.append(are_certain(found.planes, surfaces.down, steepest_deg, past),
+                              True)
     is_level = surfaces.slopes_deg <= LEVEL_DEG
     # Steps are reached from the ground, or from other steps; without metres there are none.
     is_step, linked = joined.copy(), risers >= MIN_JOINS

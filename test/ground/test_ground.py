@@ -341,6 +341,40 @@ def test_a_hole_and_the_end_of_all_are_drops(make, least):
     assert np.isnan(found.ground_result.drop_depths_m).all() == (make is quay)
 
 
+def without_strip(terrain, depth_m, baseline_m=0.095):
+    """Return depth as the left imager of two has it: none where the right one does not look."""
+    camera = terrain.scene.intrinsics
+    with np.errstate(invalid='ignore'):
+        is_strip = np.arange(camera.width) < camera.fx * baseline_m / depth_m + 1
+    return np.where(is_strip, np.nan, depth_m)
+
+
+@pytest.mark.parametrize('quarters', [0, 1, 2, 3])
+def test_the_strip_that_one_imager_sees_alone_is_no_drop(quarters):
+    terrain = laid(6.0, (9.0, 0.0, Kind.FLOOR), view=View(0.6, 20.0, roll_deg=12.0),
+                   boxes=[(0.5, 2.5, [0.3, 0.3, 0.4])])
+    scene, down = terrain.scene, terrain.scene.gravity_camera
+    depth_m = without_strip(terrain, noisy(terrain, 0.001, np.random.default_rng(1)))
+    camera = scene.intrinsics
+    for _ in range(quarters):
+        depth_m = np.ascontiguousarray(np.rot90(depth_m))
+        camera = CameraIntrinsics(camera.fy, camera.fx, camera.cy, camera.width - 1 - camera.cx,
+                                  camera.height, camera.width)
+        down = np.array([down[1], -down[0], down[2]])
+    found = PlaneDetector(MEASURED).detect(np.zeros((*depth_m.shape, 3), np.uint8), camera,
+                                           depth_m, down)
+    assert found.ground.mean() > 0.3 and len(found.drops_m) == 0
+
+
+@pytest.mark.parametrize('yaw_deg', [-60.0, 60.0])
+@pytest.mark.parametrize('has_strip', [False, True])
+def test_the_end_of_all_at_a_side_is_a_drop_also_to_a_stereo_camera(yaw_deg, has_strip):
+    terrain = course(quay, start_m=1.0, view=View(0.6, 20.0, yaw_deg=yaw_deg))
+    depth_m = noisy(terrain, 0.001, np.random.default_rng(1))
+    found = detect(terrain, without_strip(terrain, depth_m) if has_strip else depth_m)
+    assert len(found.drops_m) > 100 and off_edges_m(found, terrain).max() < 0.05
+
+
 def test_an_edge_behind_a_box_is_not_claimed():
     terrain = laid(2.0, (2.0, 0.0, Kind.FLOOR), (2.0, -0.2, Kind.OBSTACLE),
                    (9.0, -0.2, Kind.LOWER), boxes=[(0, 1.9, [1.0, 0.15, 0.5])])

@@ -19,7 +19,10 @@ from plane_detector.evaluation.scenes.rendering import (
     render,
 )
 from plane_detector.evaluation.scenes.rooms import random_room
+from plane_detector.evaluation.scenes.terrain import Course, Kind, View, look
+from plane_detector.evaluation.scenes.terrain import noisy as terrain_noise
 from plane_detector.geometry.disparity import to_disparity
+from plane_detector.geometry.projection import depth_to_points
 from plane_detector.pipeline import segment_planes
 from plane_detector.segmentation.cells.grid import lens_of
 from plane_detector.segmentation.memory import NO_MEMORY
@@ -248,6 +251,53 @@ def test_an_obstacle_is_published_in_the_first_image_that_shows_it_and_gone_in_t
         assert obstacle > 0.9 and on_ground < 0.1
     for obstacle, on_ground in shares[:4] + shares[6:]:
         assert obstacle < 0.1 and on_ground > 0.9
+
+
+def test_a_drop_is_published_in_the_first_image_that_shows_it_and_gone_in_the_first_without():
+    views = []
+    for lower_m in (0.0, -0.2):
+        way = Course(2.0)
+        way.on(1.6, 0.0, Kind.FLOOR)
+        if lower_m:
+            way.on(1.6, lower_m, Kind.OBSTACLE)
+        way.on(9.0, lower_m, Kind.LOWER)
+        views.append(look(way, View(0.6, 20.0, roll_deg=3.0), np.random.default_rng(0)))
+    flat, drop = views
+    detector, rng = PlaneDetector(DEPTH), np.random.default_rng(0)
+    for k, view in enumerate([flat] * 4 + [drop] * 3 + [flat] * 3):
+        scene = view.scene
+        found = detector.detect(scene.rgb, scene.intrinsics, terrain_noise(view, 0.001, rng),
+                                scene.gravity_camera, stamp_s=k / 30)
+        if view is flat:
+            assert not len(found.drops_m)
+        else:
+            assert len(found.drops_m) > 100
+            np.testing.assert_allclose(view.in_world(found.drops_m)[:, 1], 1.6, atol=0.05)
+
+
+def test_a_person_who_passes_leaves_nothing_behind():
+    """In every image the person is an obstacle, and what was behind is what it was before."""
+    surfaces, detector = box([0, 0, 1.25], [4, 5, 2.5]), PlaneDetector(DEPTH)
+    before = None
+    for k in range(12):
+        person = box([-1.6 + 0.35 * k, 0.6, 0.85], [0.45, 0.25, 1.7], 13.0 * k)
+        scene = render(surfaces + (person if 2 <= k < 9 else []), camera_rotation(0, -20, 0),
+                       np.array([0, -1.5, 1.2]), CAMERA, np.random.default_rng(0))
+        depth_m, = noisy([scene], k, 0.001)
+        found = detector.detect(scene.rgb, CAMERA, depth_m, scene.gravity_camera,
+                                stamp_s=k / 30)
+        is_person = scene.rectangles[scene.labels] >= len(surfaces)
+        heights_m = 1.2 - depth_to_points(scene.depth_m, CAMERA) @ scene.gravity_camera
+        is_floor = (heights_m < 0.01) & ~is_person
+        assert found.ground[is_floor].mean() > 0.98
+        if is_person.sum() > 500:
+            assert found.obstacles[is_person & (heights_m > 0.1)].mean() > 0.97
+        if before is not None:
+            uncovered = before & ~is_person
+            if (uncovered & is_floor).sum() > 200:
+                assert found.ground[uncovered & is_floor].mean() > 0.95
+                assert found.obstacles[uncovered & is_floor].mean() < 0.05
+        before = is_person
 
 
 def test_a_memory_of_another_size_or_lens_does_not_count():
