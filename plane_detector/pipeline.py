@@ -256,8 +256,8 @@ class PlaneDetector:
                     observation.prediction.values, metric_noise_floor(self.config)))
             if covered is not None:
                 observation = observation.restricted_to(covered)
-        return replace(observation, stamp_s=stamp_s, epoch=epoch, timer=timer,
-                       input_note=_joined(notes))
+        return observation.stated(stamp_s=stamp_s, epoch=epoch, timer=timer,
+                                  input_note=_joined(notes))
 
     def find_directions(self, observation: Observation, gravity_camera: np.ndarray | None = None,
                         gravity_source: str = 'measured') -> Surroundings:

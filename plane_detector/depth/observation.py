@@ -83,6 +83,13 @@ class Observation:
         """Kind of the input, as in :class:`~plane_detector.types.Prediction`."""
         return self.prediction.output
 
+    def stated(self, **fields: object) -> Observation:
+        """Return the observation with other fields than its prediction, whose disparity stays."""
+        other = replace(self, **fields)
+        vars(other).update({name: vars(self)[name] for name in ('disparity', 'disparity_noise')
+                            if name in vars(self)})
+        return other
+
     @cached_property
     def disparity(self) -> np.ndarray:
         """Disparity (H, W) float32, affine in 1/z, NaN invalid."""
@@ -227,7 +234,7 @@ class ModelDepth:
                                               output == 'relative_disparity')
         if not known.all():
             seen = seen.with_values(np.where(known, seen.prediction.values, np.nan))
-        return replace(seen, sees_sky=sees_sky)
+        return seen.stated(sees_sky=sees_sky)
 
     def reset(self) -> None:
         """Discard the average of earlier frames."""

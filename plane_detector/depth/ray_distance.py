@@ -12,6 +12,8 @@ ball that fills the image at the distance of its radius looks like a wall along 
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 from plane_detector.geometry.projection import ray_lengths
@@ -63,9 +65,17 @@ def _exponents(depth_m: np.ndarray, intrinsics: CameraIntrinsics) -> list[np.nda
     """Return k of the parts of each size that determine it, (N,) each."""
     cell = max(1, min(depth_m.shape) // _CELLS)
     inverse = _means(1 / depth_m, cell)
-    log_lengths = _means(np.log(ray_lengths(intrinsics)), cell)
+    log_lengths = _log_lengths(intrinsics, cell)
     return [_fitted(inverse, log_lengths, side) for side in _PARTS
             if side <= min(inverse.shape)]
+
+
+@lru_cache(maxsize=8)
+def _log_lengths(intrinsics: CameraIntrinsics, cell: int) -> np.ndarray:
+    """Return the mean of ln s in each cell: always the same for one camera."""
+    means = _means(np.log(ray_lengths(intrinsics)), cell)
+    means.flags.writeable = False
+    return means
 
 
 def _means(image: np.ndarray, cell: int) -> np.ndarray:

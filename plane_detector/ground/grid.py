@@ -93,13 +93,12 @@ def occupancy_grid(found: Detection, intrinsics: CameraIntrinsics, to_level: Rig
 _MASK, _FLOATS = "Array(boolean, 2, 'C', readonly=True)", "Array(float32, 2, 'C', readonly=True)"
 
 
-@kernel('UniTuple(float64, 3)(float64[:, ::1], float64, float64, float64)',
-        subject='ground_pixels')
-def _place(moved, z, x, y):
-    """Return the point of a pixel in the level frame."""
-    return ((moved[0, 0] * x + moved[0, 1] * y + moved[0, 2]) * z + moved[0, 3],
-            (moved[1, 0] * x + moved[1, 1] * y + moved[1, 2]) * z + moved[1, 3],
-            (moved[2, 0] * x + moved[2, 1] * y + moved[2, 2]) * z + moved[2, 3])
+@kernel('UniTuple(UniTuple(float64, 3), 3)(float64[:, ::1], float64)', subject='ground_pixels')
+def _of_row(moved, y):
+    """Return a, b, d of (a x + b) z + d, each coordinate in the level frame, of a row of rays."""
+    return ((moved[0, 0], moved[0, 1] * y + moved[0, 2], moved[0, 3]),
+            (moved[1, 0], moved[1, 1] * y + moved[1, 2], moved[1, 3]),
+            (moved[2, 0], moved[2, 1] * y + moved[2, 2], moved[2, 3]))
 
 
 @kernel(f'void({_FLOATS}, float32[::1], float32[::1], float64[:, ::1], {_MASK}, {_MASK}, '
@@ -113,9 +112,12 @@ def _mark(depth_m, ray_x, ray_y, moved, is_ground, is_obstacle, heights_m, limit
     places, found = np.empty((2, width, 3)), np.empty((2, width, 2), np.int64)
     for v in range(-1, height):
         own, below = v % 2, (v + 1) % 2
+        (a, b, d), (e, f, h), (i, j, k) = _of_row(moved, ray_y[min(v + 1, height - 1)])
         for u in range(width if v + 1 < height else 0):
             if is_ground[v + 1, u]:
-                x, y, z = _place(moved, depth_m[v + 1, u], ray_x[u], ray_y[v + 1])
+                depth, ray = depth_m[v + 1, u], ray_x[u]
+                x, y, z = (a * ray + b) * depth + d, (e * ray + f) * depth + h, (
+                    i * ray + j) * depth + k
                 row, column = int(np.floor(y * per_m + middle)), int(np.floor(x * per_m + middle))
                 places[below, u, 0], places[below, u, 1], places[below, u, 2] = x, y, z
                 found[below, u, 0], found[below, u, 1] = row, column
@@ -127,28 +129,29 @@ def _mark(depth_m, ray_x, ray_y, moved, is_ground, is_obstacle, heights_m, limit
             # Far away, rows of pixels are wider apart than cells: the ground goes on between two
             # pixels that are beside each other, unless a drop might be between them.
             for side in range(2):
-                h, w, other = (v + 1, u, below) if side == 0 else (v, u + 1, own)
-                if h == height or w == width or not is_ground[h, w] or (
+                q, w, other = (v + 1, u, below) if side == 0 else (v, u + 1, own)
+                if q == height or w == width or not is_ground[q, w] or (
                         found[own, u, 0] == found[other, w, 0]
                         and found[own, u, 1] == found[other, w, 1]):
                     continue
                 x, y = places[own, u, 0], places[own, u, 1]
-                p, q = places[other, w, 0], places[other, w, 1]
-                length_m = np.hypot(p - x, q - y)
+                dx, dy = places[other, w, 0] - x, places[other, w, 1] - y
+                length_m = np.sqrt(dx * dx + dy * dy)
                 if length_m > gap_m or abs(places[other, w, 2] - places[own, u, 2]) >= step_m:
                     continue
                 steps = 1 + int(length_m * per_m * 2)
                 for step in range(1, steps):
                     share = step / steps
-                    row = int(np.floor((y + share * (q - y)) * per_m + middle))
-                    column = int(np.floor((x + share * (p - x)) * per_m + middle))
+                    row = int(np.floor((y + share * dy) * per_m + middle))
+                    column = int(np.floor((x + share * dx) * per_m + middle))
                     if 0 <= row < count and 0 <= column < count:
                         cells[row, column] = FREE
-    for v in range(depth_m.shape[0]):
-        for u in range(depth_m.shape[1]):
+    for v in range(height):
+        (a, b, d), (e, f, h), _ = _of_row(moved, ray_y[v])
+        for u in range(width):
             if is_obstacle[v, u] and not heights_m[v, u] > max_height_m:
-                x, y, z = _place(moved, depth_m[v, u], ray_x[u], ray_y[v])
-                row = int(np.floor(y * per_m + middle))
-                column = int(np.floor(x * per_m + middle))
+                depth, ray = depth_m[v, u], ray_x[u]
+                row = int(np.floor(((e * ray + f) * depth + h) * per_m + middle))
+                column = int(np.floor(((a * ray + b) * depth + d) * per_m + middle))
                 if 0 <= row < count and 0 <= column < count:
                     cells[row, column] = OCCUPIED

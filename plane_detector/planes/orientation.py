@@ -189,19 +189,19 @@ def most_likely(scored: ScoredOrientations, samples: RegionSamples,
     posterior /= posterior.sum(1, keepdims=True)
     down, pairs = scored.directions.gravity_camera, scored.directions.pairs[:1].reshape(-1, 3)
     # Whichever axis is down, the class has at least the least of their probabilities.
+    misfits = samples.distances_to_planes(normals, samples.offsets(normals)).diagonal()
     of_class = np.min([
         _class_probability(hypotheses, posterior, normals, axis, variances)
-        / (1 + _mixed_odds(scored.bends, normals, axis, samples, colours))
+        / (1 + _mixed_odds(scored.bends, misfits, normals, axis, samples, colours))
         for axis in ([scored.directions.main_axis, *pairs] if down is None else [down])], axis=0)
     return Orientations(
         normals, hypotheses.freedoms[chosen] < 2, np.sqrt(variances),
         _probability(hypotheses, posterior, chosen, variances), of_class)
 
 
-def _mixed_odds(bends: np.ndarray, normals: np.ndarray, down: np.ndarray, samples: RegionSamples,
-                colours: np.ndarray) -> np.ndarray:
+def _mixed_odds(bends: np.ndarray, misfits: np.ndarray, normals: np.ndarray, down: np.ndarray,
+                samples: RegionSamples, colours: np.ndarray) -> np.ndarray:
     """Return the odds (K,) that pieces are clutter or mix several surfaces."""
-    misfits = samples.distances_to_planes(normals, samples.offsets(normals)).diagonal()
     cosine = -(unit_vectors(samples.middles) * normals).sum(1)
     is_level = np.abs(normals @ down) >= np.cos(np.radians(TOLERANCE_DEG))
     misfits = misfits / np.where(is_level, np.maximum(cosine, MIN_COSINE), 1.0)

@@ -170,9 +170,7 @@ def _pack_kept(geometry, is_kept, heights_m, sigmas_m, table):
 
 def planes_to_msg(frame: DetectedFrame) -> PointCloud2:
     """Return the coefficients: one point per plane, at its centroid; no plane: an empty cloud."""
-    table = np.zeros(len(frame.planes), PLANE_DTYPE)
-    frame.planes.write_to(table)
-    frame.rectangles.write_to(table)
+    table = frame.plane_table
     return cloud_msg(frame.target_header, PLANE_DTYPE, table, 1, len(table))
 
 

@@ -16,6 +16,7 @@ from plane_detector.drawing import LabelPlace, colours_by_label, label_places, o
 from plane_detector.geometry.rigid_transform import RigidTransform
 from plane_detector.mapping.plane_map import MapSnapshot
 from plane_detector.planes.outline import PlacedDetection
+from plane_detector.planes.plane_table import PLANE_DTYPE
 from plane_detector.ros.calibration import NO_DISTORTION, Distortion
 from plane_detector.ros.outputs import messages
 from plane_detector.segmentation.cells.model import rename_labels
@@ -61,6 +62,14 @@ class DetectedFrame(PlacedDetection):
             is_shape = found.shape_labels >= 0
             labels[is_shape] = messages.shape_labels(found)[found.shape_labels[is_shape]]
         return labels
+
+    @cached_property
+    def plane_table(self) -> np.ndarray:
+        """The rows of ``~/planes``, (K,), which the JSON has too."""
+        table = np.zeros(len(self.planes), PLANE_DTYPE)
+        self.planes.write_to(table)
+        self.rectangles.write_to(table)
+        return table
 
     @cached_property
     def label_places(self) -> dict[int, LabelPlace]:
