@@ -10,7 +10,7 @@ unit, range and choices; every instance is checked against them when it is creat
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 from plane_detector.settings import Settings, fixed_setting, setting
 
@@ -356,12 +356,6 @@ class Config(Settings):
     grid: GridConfig = field(default_factory=GridConfig)
     map: MapConfig = field(default_factory=MapConfig)
     paper: PaperConfig = field(default_factory=PaperConfig)
-
-    def with_camera_height(self, height_m: float | None) -> Config:
-        """Return the settings with a measured height of the camera; None: unchanged."""
-        if height_m is None:
-            return self
-        return replace(self, scale=replace(self.scale, camera_height=height_m))
 
 
 @dataclass(frozen=True)

@@ -281,14 +281,10 @@ class PlaneDetector:
                 for_planes=(observation.config.directions.orient_planes
                             and not observation.is_measured))
 
+    @one_thread()
     def find_planes(self, observation: Observation, surroundings: Surroundings,
                     camera_height_m: float | None = None) -> Detection:
         """Run the third stage of :meth:`detect`: the planes of an image with depth."""
-        with one_thread():
-            return self._find_planes(observation, surroundings, camera_height_m)
-
-    def _find_planes(self, observation: Observation, surroundings: Surroundings,
-                     camera_height_m: float | None) -> Detection:
         config, timer = _with_height(observation.config, camera_height_m), observation.timer
         state, steps = self._planes.at(observation.epoch), self._steps.at(observation.epoch)
         with timer('segmentation'):
@@ -447,10 +443,11 @@ def _checked_cover(covered: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
 
 def _with_height(config: Config, camera_height_m: float | None) -> Config:
     """Return the settings with a measured height, if there is one; ValueError if it cannot be."""
-    if camera_height_m is not None:
-        camera_height_m = _as_number('camera_height_m', camera_height_m)
+    if camera_height_m is None:
+        return config
+    camera_height_m = _as_number('camera_height_m', camera_height_m)
     try:
-        return config.with_camera_height(camera_height_m)
+        return replace(config, scale=replace(config.scale, camera_height=camera_height_m))
     except ValueError as error:
         raise ValueError(f'camera_height_m {camera_height_m!r} is no height: {error}') from None
 

@@ -87,7 +87,7 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
          'local noise without the own share of pixels'),
         ('if share < MIN_OWN_SHARE or', 'if', 'smooth noise is local')),
     'segmentation/cells/model.py': (
-        ('lateral * min(squares[8] / moments[i, N], 1.0)',
+        ('lateral * min(shared_px / moments[i, N], 1.0)',
          'lateral', 'lateral noise does not average out'),
         ('1 / noise.own_share if', 'noise.own_share if', 'the own share of pixels multiplied'),
         ('table[i, LOCAL_RATIO] = 1 + excess', 'table[i, LOCAL_RATIO] = 1',

@@ -55,8 +55,10 @@ def add_small_planes(frame: Frame, labels: np.ndarray, known: RegionGraph,
     room = frame.config.segmentation.max_planes - len(known.planes)
     if size < MIN_CELL_SIZE_PX or room < 1 or not _sees_width(frame):
         return known.planes
-    wanted = _large_pieces(_count_unlabelled(valid, labels, size), size,
-                           frame.min_pixels / MIN_CELL_SHARE)
+    unlabelled = _count_unlabelled(valid, labels, size)
+    half = cv2.inRange(unlabelled, -(-size**2 // 2), size**2)
+    wanted = _in_large_pieces(*cv2.connectedComponents(half, connectivity=4), unlabelled,
+                              frame.min_pixels / MIN_CELL_SHARE)
     if not wanted.any():
         return known.planes
     # Whole rows, with those that planes grow into: of these an array is no copy.
@@ -64,7 +66,10 @@ def add_small_planes(frame: Frame, labels: np.ndarray, known: RegionGraph,
     rows = slice(max(filled[0] - BORDER_REACH_CELLS, 0), filled[-1] + 1 + BORDER_REACH_CELLS)
     part = slice(rows.start * size, rows.stop * size)
     left = _unlabelled_part(frame, labels, part, wanted[rows])
-    graph = _flat_regions(left, room, min_turn_deg)
+    graph = RegionGraph.of(left.cells, add_planes(left, no_planes(left.grid), room))
+    is_flat = np.ones(len(graph.planes), bool)
+    is_flat[find_curved(graph, 0.0, min_turn_deg, left.noise.bending)] = False
+    graph = graph.only(is_flat)
     planes = np.concatenate([known.planes, graph.planes])
     if len(graph.planes):
         found = labels[part]
@@ -99,6 +104,7 @@ def _take_back(labels, cells, size, model, tolerance, reach):
     most ``reach`` pixels.
     """
     (height, width), (disparity, planes, sides) = labels.shape, model
+    of_noise, of_depth, of_slope = tolerance
     known, columns = sides.shape[1], -(-width // size)
     queue, first, last = np.empty((labels.size, 3), np.int64), 0, 0
     for cell in cells:
@@ -120,10 +126,10 @@ def _take_back(labels, cells, size, model, tolerance, reach):
                 continue
             own = planes[k, 0] * column + planes[k, 1] * row + planes[k, 2]
             other = planes[j, 0] * column + planes[j, 1] * row + planes[j, 2]
-            square, side = tolerance[0] + tolerance[1] * d**4, sides[k - known, j]
+            square, side = of_noise + of_depth * d**4, sides[k - known, j]
             is_close = side != 0 and (own - other) ** 2 < square
             is_own = side * (own - other) > 0 if is_close else abs(own - d) < abs(other - d)
-            square += tolerance[2] * (planes[k, 0] ** 2 + planes[k, 1] ** 2)
+            square += of_slope * (planes[k, 0] ** 2 + planes[k, 1] ** 2)
             if is_own and (own - d) ** 2 <= square:
                 labels[row, column] = k
                 queue[last, 0], queue[last, 1], queue[last, 2] = row, column, steps + 1
@@ -138,15 +144,6 @@ def _unlabelled_part(frame: Frame, labels: np.ndarray, part: slice, wanted: np.n
                            frame.grid.lens)
     noise = frame.noise.at_cell_size(frame.grid.size_px, size)
     return replace(frame, image=left, grid=grid, noise=noise)
-
-
-def _flat_regions(frame: Frame, most: int, min_turn_deg: float) -> RegionGraph:
-    """Search for planes, and leave out curved ones."""
-    regions = add_planes(frame, no_planes(frame.grid), most)
-    graph = RegionGraph.of(frame.cells, regions)
-    is_flat = np.ones(len(graph.planes), bool)
-    is_flat[find_curved(graph, 0.0, min_turn_deg, frame.noise.bending)] = False
-    return graph.only(is_flat)
 
 
 def _sees_width(frame: Frame) -> bool:
@@ -173,14 +170,8 @@ def _count_unlabelled(valid, labels, size):
     return pixels
 
 
-def _large_pieces(unlabelled: np.ndarray, size: int, min_pixels: float) -> np.ndarray:
-    """Return the cells, at least half unlabelled, in connected pieces with enough pixels."""
-    half = cv2.inRange(unlabelled, -(-size**2 // 2), size**2)
-    return _of_large_pieces(*cv2.connectedComponents(half, connectivity=4), unlabelled, min_pixels)
-
-
 @kernel('boolean[:, ::1](int64, int32[:, ::1], int32[:, ::1], float64)', is_short=True)
-def _of_large_pieces(count, pieces, pixels, min_pixels):
+def _in_large_pieces(count, pieces, pixels, min_pixels):
     """Return which cells are in pieces, but for the first, with enough pixels."""
     total, is_wanted = np.zeros(count, np.int64), np.empty(pieces.shape, np.bool_)
     for row in range(pieces.shape[0]):

@@ -168,7 +168,13 @@ def segment_next(memory: Memory, disparity: np.ndarray, noise_floor: Noise, conf
     correlation = (Correlation.of(frame.cells, regions, frame.noise)
                    if frame.kind is DepthKind.MEASURED else None)
     recall = Recall(memory, frame.cells)
-    pieces, names, planes, curved = _label(frame, regions, correlation, recall)
+    if frame.kind is DepthKind.MEASURED:
+        found = _measured(frame, regions, correlation, recall)
+    elif frame.kind is DepthKind.EXACT:
+        found = _exact(frame, regions)
+    else:
+        found = _network(frame, regions)
+    pieces, names, planes, curved = found
     memory, labels = recall.after(pieces, names), rename_labels(pieces, names)
     patches = NO_PATCHES
     if guide is not None and guide.is_usable:
@@ -187,20 +193,10 @@ def segment_next(memory: Memory, disparity: np.ndarray, noise_floor: Noise, conf
                         patches=patches, facets=facets), memory
 
 
-def _label(frame: Frame, regions: PlaneRegions,
-           correlation: Correlation | None, recall: Recall) -> Labelled:
-    """Return what the stages for the kind of depth find."""
-    if frame.kind is DepthKind.MEASURED:
-        return _measured(frame, regions, correlation, recall)
-    if frame.kind is DepthKind.EXACT:
-        return _exact(frame, regions, Recall(NO_MEMORY, frame.cells))
-    return _network(frame, regions)
-
-
-def _exact(frame: Frame, regions: PlaneRegions, recall: Recall) -> Labelled:
-    """Return the labels and planes of exact depth."""
+def _exact(frame: Frame, regions: PlaneRegions) -> Labelled:
+    """Return the labels and planes of exact depth, for which no image before is needed."""
     graph = merge_coplanar(frame.cells, RegionGraph.of(frame.cells, regions), None)
-    return _label_flat_regions(frame, graph, None, MIN_TURN_DEG, recall)
+    return _label_flat_regions(frame, graph, None, MIN_TURN_DEG, Recall(NO_MEMORY, frame.cells))
 
 
 def _measured(frame: Frame, regions: PlaneRegions, correlation: Correlation | None,

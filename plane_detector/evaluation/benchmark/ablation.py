@@ -47,8 +47,8 @@ STAGES: dict[str, tuple[str, Callable[..., Any]]] = {
     'merging behind objects': (f'{_REGIONS}.merging._is_hidden_between', lambda *_: False),
     'coplanar regions': (f'{_SEGMENT}.merge_coplanar', lambda cells, graph, *_: graph),
     'sides of intersections': (
-        f'{_REGIONS}.region_graph.RegionGraph.intersections',
-        lambda graph: np.zeros((len(graph.planes), len(graph.planes)), np.int8)),
+        'plane_detector.segmentation.pixels.labelling.intersections',
+        lambda planes, borders: np.zeros((len(planes), len(planes)), np.int8)),
     'small planes': (f'{_SEGMENT}.add_small_planes',
                      lambda frame, labels, graph, *_: graph.planes),
     'curved regions': (f'{_SEGMENT}.find_curved', lambda *_: np.zeros(0, np.int64)),

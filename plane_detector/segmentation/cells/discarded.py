@@ -102,8 +102,7 @@ def without_constants(depth_m: np.ndarray, noise_floor: Noise) -> np.ndarray:
     True
 
     """
-    dominant = _dominant_value(depth_m)
-    values = _frequent_values(depth_m, dominant)
+    values, dominant = _frequent_values(depth_m)
     if not values.size:
         return depth_m
     is_constant = _pieces_apart(np.ascontiguousarray(depth_m), values[values != dominant],
@@ -132,32 +131,31 @@ def without_constants(depth_m: np.ndarray, noise_floor: Noise) -> np.ndarray:
     return rest_m if is_constant.any() else depth_m
 
 
-def _dominant_value(depth_m: np.ndarray) -> float:
-    """Return the value far more frequent than any other; NaN if there is none."""
-    places = depth_m[::_STRIDE, ::_STRIDE]
-    values, counts = np.unique(places[np.isfinite(places)], return_counts=True)
-    if not values.size:
-        return np.nan
-    top = counts.argmax()
-    most, counts[top] = counts[top], 0
-    return values[top] if counts.max() * MIN_FREQUENCY_RATIO <= most else np.nan
+def _frequent_values(depth_m: np.ndarray) -> tuple[np.ndarray, float]:
+    """
+    Return the values, sorted, that fill a large share of the places and may be constants.
 
-
-def _frequent_values(depth_m: np.ndarray, dominant: float) -> np.ndarray:
-    """Return the values, sorted, that fill a large share of the places and may be constants."""
+    And the one that is far more frequent than any other; NaN if there is none, or no such value.
+    """
     places = depth_m[:-1:_STRIDE, :-1:_STRIDE]
     is_equal = (np.isfinite(places) & (places == depth_m[1::_STRIDE, :-1:_STRIDE])
                 & (places == depth_m[:-1:_STRIDE, 1::_STRIDE]))
     least = max(MIN_SHARE * places.size, 1)
     if np.count_nonzero(is_equal) < least:
-        return np.empty(0, depth_m.dtype)
+        return np.empty(0, depth_m.dtype), np.nan
     values, counts = np.unique(places[is_equal], return_counts=True)
     values, counts = values[counts >= least], counts[counts >= least]
     if not values.size:
-        return values
+        return values, np.nan
+    all_places = depth_m[::_STRIDE, ::_STRIDE]
+    of_all, counts = np.unique(all_places[np.isfinite(all_places)], return_counts=True)
+    top = counts.argmax()
+    most, counts[top] = counts[top], 0
+    dominant = of_all[top] if counts.max() * MIN_FREQUENCY_RATIO <= most else np.nan
     # In quantised depth there may be dozens, and most places beside theirs have the next step.
     border, attached = _count_borders(np.ascontiguousarray(places), values)
-    return values[(attached <= 2 * MAX_ATTACHED_SHARE * border) | (values == dominant)]
+    is_kept = (attached <= 2 * MAX_ATTACHED_SHARE * border) | (values == dominant)
+    return values[is_kept], dominant
 
 
 @kernel("UniTuple(int64[::1], 2)(Array(float32, 2, 'C', readonly=True), float32[::1])",

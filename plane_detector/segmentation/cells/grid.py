@@ -95,11 +95,6 @@ class CellGrid:
                                   [0, 0, 1]])
 
 
-def cell_size(shape: tuple[int, int]) -> int:
-    """Return the side of the cells of an image in pixels."""
-    return max(MIN_CELL_SIDE_PX, round((shape[0] * shape[1] / CELLS_PER_IMAGE) ** 0.5))
-
-
 def lens_of(intrinsics: CameraIntrinsics) -> np.ndarray:
     """Return the lens (4,) in the coordinates of the cells: f_x, f_y, x and y of its centre."""
     width, height = intrinsics.width, intrinsics.height
@@ -123,7 +118,7 @@ def build_cell_grid(image: DisparityImage, size: int = 0, wanted: np.ndarray | N
     ----------
     image : DisparityImage
     size : int
-        Side of the cells in pixels; 0: that of :func:`cell_size`.
+        Side of the cells in pixels; 0: by CELLS_PER_IMAGE.
     wanted : (R * C,) bool, optional
         Cells to fill; the others stay empty. Default: all.
     frame : (float, float, float), optional
@@ -133,7 +128,7 @@ def build_cell_grid(image: DisparityImage, size: int = 0, wanted: np.ndarray | N
 
     """
     height, width = image.valid.shape
-    size = size or cell_size((height, width))
+    size = size or max(MIN_CELL_SIDE_PX, round((height * width / CELLS_PER_IMAGE) ** 0.5))
     frame = frame or pixel_frame((height, width))
     shape = -(-height // size), -(-width // size)
     if wanted is None:
@@ -148,11 +143,12 @@ def build_cell_grid(image: DisparityImage, size: int = 0, wanted: np.ndarray | N
 def _sum_up(disparity, valid, size, frame, wanted):
     """Return the moments (R * C, 10) of the wanted cells."""
     rows, columns = -(-disparity.shape[0] // size), -(-disparity.shape[1] // size)
-    moments, pixel = np.zeros((rows * columns, 10)), 1 / frame[0]
+    width_px, first_x, first_y = frame
+    moments, pixel = np.zeros((rows * columns, 10)), 1 / width_px
     sums = np.empty((6, columns * size), np.float32)
     reference = np.empty(columns * size, np.float32)
     for row in range(rows):
-        end, y = 0, frame[2] + (row * size + (size - 1) / 2) * pixel
+        end, y = 0, first_y + (row * size + (size - 1) / 2) * pixel
         while end < columns:
             begin, is_wanted = end, wanted[row * columns + end]
             while end < columns and wanted[row * columns + end] == is_wanted:
@@ -163,7 +159,7 @@ def _sum_up(disparity, valid, size, frame, wanted):
             _sum_up_columns(disparity, valid, band, reference, sums)
             for column in range(begin, end):
                 left = column * size
-                centre = frame[1] + (left + (size - 1) / 2) * pixel, y, np.float64(reference[left])
+                centre = first_x + (left + (size - 1) / 2) * pixel, y, np.float64(reference[left])
                 _sum_up_cell(sums, (left, size), centre, pixel, moments[row * columns + column])
     return moments
 

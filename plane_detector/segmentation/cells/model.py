@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -58,6 +59,45 @@ PATCH_SCALE = 4
 NO_PATCHES = NO_FACETS = np.zeros((0, 0), np.int32)
 
 
+class NoiseOfCells(NamedTuple):
+    """
+    The noise that cells are tested with, squared; lengths in image widths.
+
+    Attributes
+    ----------
+    mean, slope, pixel : float
+        Variances of a full cell's mean and slope, and of a pixel.
+    depth : float
+        Lower bound of the variance of depth.
+    disparity, disparity_slope : float
+        That of the variance of the disparity, and of a slope by it.
+    place : float
+        Variance of the place that a pixel sees.
+    steepest : float
+        Largest slope over 1/z.
+    shared_px : float
+        Number of pixels that have the same error of their place.
+    unbent : float
+        Share of the smooth noise that does not bend whole planes.
+    per_own : float
+        The inverse of the share of a pixel's variance that its neighbour does not have; 0: the
+        noise is not local.
+
+    """
+
+    mean: float
+    slope: float
+    pixel: float
+    depth: float
+    disparity: float
+    disparity_slope: float
+    place: float
+    steepest: float
+    shared_px: float
+    unbent: float
+    per_own: float
+
+
 @dataclass(frozen=True)
 class WeightedCells:
     """The cells and their noise."""
@@ -96,49 +136,53 @@ def weigh_cells(grid: CellGrid, noise: Noise) -> WeightedCells:
     noise is what they show, and the smooth noise is larger by the same ratio.
     """
     size = grid.size_px / grid.width_px
-    squares = (noise.mean_sigma**2, noise.slope_sigma**2, noise.pixel_sigma**2,
-               noise.depth_floor_m**2, noise.disparity_floor**2,
-               (noise.disparity_floor / size)**2, (noise.lateral_px / grid.width_px)**2,
-               (MAX_STEEPNESS / grid.lens[0])**2,
-               1 + noise.lateral_shared * (LATERAL_WINDOW_PX**2 - 1), noise.bending**-2,
-               1 / noise.own_share if noise.own_share > 0 and len(grid.roughness) else 0.0)
+    is_local = noise.own_share > 0 and len(grid.roughness) > 0
+    of_cells = NoiseOfCells(
+        noise.mean_sigma**2, noise.slope_sigma**2, noise.pixel_sigma**2,
+        depth=noise.depth_floor_m**2, disparity=noise.disparity_floor**2,
+        disparity_slope=(noise.disparity_floor / size)**2,
+        place=(noise.lateral_px / grid.width_px)**2, steepest=(MAX_STEEPNESS / grid.lens[0])**2,
+        shared_px=1 + noise.lateral_shared * (LATERAL_WINDOW_PX**2 - 1),
+        unbent=noise.bending**-2, per_own=1 / noise.own_share if is_local else 0.0)
     table, is_planar = _weigh((grid.moments, grid.mean, grid.slope, grid.sparsity),
-                              (grid.residual_rms, grid.roughness), grid.usable, squares,
+                              (grid.residual_rms, grid.roughness), grid.usable, tuple(of_cells),
                               12 / (grid.size_px * size) ** 2)
     return WeightedCells(grid, is_planar, table)
 
 
 @kernel('Tuple((float64[:, ::1], boolean[::1]))(UniTuple(float64[:, ::1], 4), '
         'UniTuple(float64[::1], 2), boolean[::1], UniTuple(float64, 11), float64)', is_short=True)
-def _weigh(cells, pixels, usable, squares, per_slope):
+def _weigh(cells, pixels, usable, noise, per_slope):
     """Return the table of the cells and which of them are planar."""
+    (smooth, smooth_slope, pixel, depth, disparity, disparity_slope, place, steepest, shared_px,
+     unbent, per_own) = noise  # in the order of NoiseOfCells
     (moments, mean, slope, sparsity), (residual_rms, roughness) = cells, pixels
     table, is_planar = np.zeros((len(usable), 9)), np.zeros(len(usable), np.bool_)
     of_plane, filled = 0.0, 0
     for i in range(len(usable)):
         of_plane += mean[i, 2] ** 4
         filled += moments[i, N] > 0
-    of_plane *= squares[3] / max(filled, 1) ** 2
+    of_plane *= depth / max(filled, 1) ** 2
     for i in range(len(usable)):
         if moments[i, N] == 0:
             continue
         for k in range(3):
             table[i, MEAN_X + k] = mean[i, k]
         table[i, SLOPE_X], table[i, SLOPE_Y] = slope[i, 0], slope[i, 1]
-        floor = squares[3] * mean[i, 2] ** 4 + squares[4] + of_plane
-        tilt = min(slope[i, 0] ** 2 + slope[i, 1] ** 2, squares[7] * mean[i, 2] ** 2)
-        lateral = squares[6] * tilt
+        floor = depth * mean[i, 2] ** 4 + disparity + of_plane
+        tilt = min(slope[i, 0] ** 2 + slope[i, 1] ** 2, steepest * mean[i, 2] ** 2)
+        lateral = place * tilt
         excess = 0.0
-        if squares[10] > 0:
-            shown = ((roughness[i] * squares[10] - floor - lateral)
-                     / max(squares[2], MIN_VARIANCE))
+        if per_own > 0:
+            shown = (roughness[i] * per_own - floor - lateral) / max(pixel, MIN_VARIANCE)
             excess = min(max(shown, 1.0), MAX_LOCAL_RATIO) - 1
         table[i, LOCAL_RATIO] = 1 + excess
-        local, of_pixel = 1 + excess * squares[9], squares[2] * (1 + excess)
-        of_mean = (squares[0] * local + floor + of_pixel * sparsity[i, 0]
-                   + lateral * min(squares[8] / moments[i, N], 1.0))
-        of_slope = (squares[1] * local + floor * per_slope + squares[5] + of_pixel * sparsity[i, 1]
-                    + lateral * squares[8]**0.5 * (per_slope + sparsity[i, 1]))
+        local, of_pixel = 1 + excess * unbent, pixel * (1 + excess)
+        of_mean = (smooth * local + floor + of_pixel * sparsity[i, 0]
+                   + lateral * min(shared_px / moments[i, N], 1.0))
+        of_slope = (smooth_slope * local + floor * per_slope + disparity_slope
+                    + of_pixel * sparsity[i, 1]
+                    + lateral * shared_px**0.5 * (per_slope + sparsity[i, 1]))
         of_pixel += floor + lateral
         table[i, MEAN_WEIGHT] = 1 / max(of_mean, MIN_VARIANCE)
         table[i, SLOPE_WEIGHT] = 1 / max(of_slope, MIN_VARIANCE)

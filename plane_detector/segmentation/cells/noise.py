@@ -300,20 +300,16 @@ def _mean_around(values: np.ndarray, usable: np.ndarray, shape: tuple[int, int])
     return total / np.maximum(count, MIN_COUNT)
 
 
-def roughness_of(image: DisparityImage, grid: CellGrid) -> np.ndarray:
+@kernel('float64[::1](float32[:, ::1], boolean[:, ::1], float64[:, ::1], int64, int64)')
+def roughness_of(disparity, valid, slope, size, width_px):
     """
     Return half the mean squared difference of neighbouring pixels in each cell, (R * C,).
 
     Along the contours of its slope, in every other row: sensor noise is rough from pixel to pixel,
     clutter is smooth there, and edges hardly cross their own contour.
     """
-    return _roughness(image.values, image.valid, grid.slope, (grid.size_px, grid.width_px))
-
-
-@kernel('float64[::1](float32[:, ::1], boolean[:, ::1], float64[:, ::1], UniTuple(int64, 2))')
-def _roughness(disparity, valid, slope, sizes):
-    (size, width_px), (height, width) = sizes, disparity.shape
-    columns, half_square = -(-width // size), np.zeros(len(slope))
+    (height, width), half_square = disparity.shape, np.zeros(len(slope))
+    columns = -(-width // size)
     sums = np.empty((4, columns * size), np.float32)  # squared differences and pairs, right, down
     for row in range(len(slope) // columns):
         sums[:] = 0

@@ -32,7 +32,7 @@ from plane_detector._runtime.compilation import kernel
 from plane_detector.segmentation.cells.grid import CellGrid, DisparityImage, normal_of
 from plane_detector.segmentation.cells.model import LOCAL_RATIO, MAX_DEVIATIONS, Frame, at_borders
 from plane_detector.segmentation.cells.noise import DepthKind
-from plane_detector.segmentation.regions.region_graph import APART, RegionGraph
+from plane_detector.segmentation.regions.region_graph import APART, RegionGraph, intersections
 from plane_detector.segmentation.search.plane_search import sees_creases
 
 # Planes closer to each other than this share of the tolerance, squared, are alike.
@@ -75,27 +75,23 @@ def label_pixels(frame: Frame, graph: RegionGraph) -> np.ndarray:
     if frame.kind is DepthKind.MEASURED:
         disparity = _smooth(disparity, frame.image.valid, MAX_DEVIATIONS * noise.pixel_sigma)
     # A border moves by one cell per sweep.
-    _label_cells(frame, graph, (found, 0), disparity, sum(frame.grid.shape) if sees else 1)
+    label_more_pixels(frame, graph, found, 0, disparity, sum(frame.grid.shape) if sees else 1)
     return found
 
 
-def label_more_pixels(frame: Frame, graph: RegionGraph, labels: np.ndarray, first: int) -> None:
+def label_more_pixels(frame: Frame, graph: RegionGraph, labels: np.ndarray, first: int,
+                      disparity: np.ndarray | None = None, sweeps: int = 1) -> None:
     """
     Label every valid pixel, the planes of the graph from ``first`` on; the others keep theirs.
 
-    Small planes gain nothing from growing, nor from a mean over neighbours.
+    From 0 on, all pixels are written. Small planes gain nothing from growing, which is more than
+    one of the ``sweeps``, nor from a ``disparity`` that is a mean over neighbours.
     """
-    _label_cells(frame, graph, (labels, first), frame.image.values, 1)
-
-
-def _label_cells(frame: Frame, graph: RegionGraph, output: tuple[np.ndarray, int],
-                 disparity: np.ndarray, sweeps: int) -> None:
-    """Write labels of pixels, counted from the given number on; from 0 on, of all pixels."""
-    grid = frame.grid
-    _label(output, (disparity, frame.image.valid, grid.size_px),
+    grid, disparity = frame.grid, frame.image.values if disparity is None else disparity
+    _label((labels, first), (disparity, frame.image.valid, grid.size_px),
            (graph.labels, at_borders(graph.labels, 1)), frame.cells.table,
-           (grid.planes_in_pixels(graph.planes), graph.intersections()), pixel_tolerance(frame),
-           sweeps)
+           (grid.planes_in_pixels(graph.planes), intersections(graph.planes, graph.borders)),
+           pixel_tolerance(frame), sweeps)
 
 
 def pixel_tolerance(frame: Frame) -> tuple[float, float, float]:

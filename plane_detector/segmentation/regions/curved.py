@@ -31,6 +31,7 @@ from plane_detector.segmentation.cells.grid import (
 from plane_detector.segmentation.cells.model import MAX_DEVIATIONS, MIN_VARIANCE
 from plane_detector.segmentation.cells.noise_correlation import Correlation
 from plane_detector.segmentation.regions.region_graph import (
+    PAIRS,
     PLANE_TERMS,
     PRODUCTS,
     VARIANCE,
@@ -157,13 +158,13 @@ def _bends(planes, sums, borders, lens, of_bows, limits, much):
     for i in range(count):
         bends[i, i] = 2 * _is_curved(sums[i], lens, of_bows, min_deg, max_radius, much[i])
         for j in range(i + 1, count):
-            if borders[i, j, 0] == 0:
+            if borders[i, j, PAIRS] == 0:
                 continue
             fold_deg, gap, _ = fold(planes, sums, borders, lens, i, j)
             by = np.sqrt(much[i] * much[j])
             # A gap that bends explain counts along a side: the root of a square's number of cells.
             side = np.sqrt(min(sums[i, N], sums[j, N]))
-            most = max_gap if borders[i, j, 0] >= side else MAX_DEVIATIONS
+            most = max_gap if borders[i, j, PAIRS] >= side else MAX_DEVIATIONS
             if gap * by >= most or not min_deg * by < fold_deg < MAX_FOLD_DEG:
                 continue
             gain, _, worst = fit_quadric(sums[i], sums[j], 1.0)

@@ -62,6 +62,7 @@ from plane_detector.segmentation.regions.region_graph import (
     NORMAL_Y,
     NORMALS,
     NORMALS_D,
+    PAIRS,
     PLANE_TERMS,
     VARIANCE,
     RegionGraph,
@@ -151,7 +152,7 @@ def merge_coplanar(cells: WeightedCells, graph: RegionGraph,
     unshared = correlation and correlation.density / correlation.bending**UNSHARED_POWER
 
     def is_apart(graph: RegionGraph, i: int, j: int, misfit: float) -> bool:
-        touches = graph.borders[i, j, 0] > 0
+        touches = graph.borders[i, j, PAIRS] > 0
         if recall and recall.is_two(Decision.MISFIT, misfit, graph.labels, (i, j), touches):
             return True
         if not touches:
@@ -283,7 +284,7 @@ def _misfits(planes, sums, borders, lens, test):
     misfit, joint = np.full((len(planes), len(planes)), np.inf), np.empty(10)
     for i in range(len(planes)):
         for j in range(i + 1, len(planes)):
-            if (borders[i, j, 0] < min_pairs or sums[i, N] == 0 or sums[j, N] == 0
+            if (borders[i, j, PAIRS] < min_pairs or sums[i, N] == 0 or sums[j, N] == 0
                     or normals_differ(sums, lens, i, j)):
                 continue
             fold_deg, gap = 0.0, 0.0

@@ -289,10 +289,16 @@ def split_at_depth_steps(frame: Frame, regions: PlaneRegions,
         return regions
     residual, owner = _block_residuals(image.values, image.valid, regions.labels,
                                        grid.planes_in_pixels(regions.coefficients), grid.size_px)
-    runs, label, blocks, mean = _find_pieces(residual, owner, *_steps(residual, owner))
+    steps, is_sampled = _differences(residual), owner[SAMPLE] >= 0
+    limits = [MIN_STEP_DEVIATIONS * SIGMA_PER_MEDIAN * median(np.abs(step[SAMPLE][is_sampled]))
+              if is_sampled.any() else math.inf for step in steps]
+    runs, label, blocks, mean = _find_pieces(residual, owner, *steps, np.float32(limits))
+    # How far each is from the largest piece of its region.
+    largest, order = np.zeros(label.max(initial=0) + 1, int), np.argsort(blocks, kind='stable')
+    largest[label[order]] = order
+    offsets = np.abs(mean - mean[largest[label]])
     is_candidate = ((blocks >= frame.min_pixels * (BLOCKS / grid.size_px) ** 2)
-                    & (_offsets(label, blocks, mean)
-                       > MIN_OFFSET_DEVIATIONS * frame.noise.mean_sigma))
+                    & (offsets > MIN_OFFSET_DEVIATIONS * frame.noise.mean_sigma))
     candidates = np.flatnonzero(is_candidate)
     for k in candidates[np.argsort(-blocks[candidates], kind='stable')]:
         new = len(regions.coefficients)
@@ -367,14 +373,6 @@ def _centroid(valid, top, left, side):
             x += valid[v, u] * u
             y += valid[v, u] * v
     return x / count, y / count
-
-
-def _steps(residual: np.ndarray, owner: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Return the steps at the left and the upper side of each block, and the smallest of note."""
-    steps, is_sampled = _differences(residual), owner[SAMPLE] >= 0
-    limits = [MIN_STEP_DEVIATIONS * SIGMA_PER_MEDIAN * median(np.abs(step[SAMPLE][is_sampled]))
-              if is_sampled.any() else math.inf for step in steps]
-    return *steps, np.float32(limits)
 
 
 @kernel('UniTuple(float32[:, ::1], 2)(float32[:, ::1])')
@@ -472,13 +470,6 @@ def _first_run(runs, run):
         runs[run, PIECE] = runs[runs[run, PIECE], PIECE]
         run = runs[run, PIECE]
     return run
-
-
-def _offsets(label: np.ndarray, blocks: np.ndarray, mean: np.ndarray) -> np.ndarray:
-    """Return how far the mean residual of each piece (n,) is from its region's largest piece's."""
-    largest, order = np.zeros(label.max(initial=0) + 1, int), np.argsort(blocks, kind='stable')
-    largest[label[order]] = order
-    return np.abs(mean - mean[largest[label]])
 
 
 @kernel('int32[:, ::1](int32[:, ::1], int32[:, ::1], int64, UniTuple(int64, 2))', is_short=True)

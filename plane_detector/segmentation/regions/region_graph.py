@@ -36,6 +36,8 @@ APART = 2
 PLANE_TERMS = 3
 # derived: the columns of RegionGraph.sums behind those of PRODUCTS.
 VARIANCE, NORMALS, NORMAL_X, NORMAL_Y, NORMAL_SQUARES, NORMALS_D = range(22, 28)
+# derived: the columns of RegionGraph.borders.
+PAIRS, PAIRS_X, PAIRS_Y, PAIRS_D, MIDDLES_XX, MIDDLES_XY, MIDDLES_YY = range(7)
 # derived: the column of the product of each two of 1, x, y, xx, xy, yy and d. Of the 22 products
 # the first ten are the moments, the others what a quadric needs in addition.
 PRODUCTS = np.array([[0, 1, 2, 3, 4, 5, 6], [1, 3, 4, 10, 11, 12, 7], [2, 4, 5, 11, 12, 13, 8],
@@ -69,19 +71,6 @@ class RegionGraph:
         sums = _sum_up(labels, cells.table, cells.grid.moments, cells.grid.normal_slope,
                        cells.is_planar, count)
         return cls(labels, np.arange(count), regions.coefficients, *sums, cells.grid.lens)
-
-    def intersections(self) -> np.ndarray:
-        """
-        Find the pairs of regions whose planes intersect along their border, or do not touch.
-
-        Returns
-        -------
-        (K, K) int8
-            Entry i, j is the sign of 1/z of plane min(i, j) minus the other plane, on the side of
-            min(i, j); 0 if one is in front of the other, APART if they do not touch.
-
-        """
-        return _intersections(self.planes, self.borders)
 
     def without_merged(self) -> RegionGraph:
         """Return the graph of the regions that were not merged into others."""
@@ -153,17 +142,17 @@ def _sum_up(labels, table, moments, slope, is_planar, count):
                         continue
                     j, other = r * columns + c, labels[r, c]
                     if is_planar[j]:
-                        borders[one, other, 0] += 1
-                        borders[other, one, 0] += 1
+                        borders[one, other, PAIRS] += 1
+                        borders[other, one, PAIRS] += 1
                         for k in range(3):
-                            borders[one, other, 1 + k] += table[i, k]
-                            borders[other, one, 1 + k] += table[j, k]
+                            borders[one, other, PAIRS_X + k] += table[i, k]
+                            borders[other, one, PAIRS_X + k] += table[j, k]
                         x = (table[i, MEAN_X] + table[j, MEAN_X]) / 2
                         y = (table[i, MEAN_Y] + table[j, MEAN_Y]) / 2
                         for side in ((one, other), (other, one)):
-                            borders[side[0], side[1], 4] += x * x
-                            borders[side[0], side[1], 5] += x * y
-                            borders[side[0], side[1], 6] += y * y
+                            borders[side[0], side[1], MIDDLES_XX] += x * x
+                            borders[side[0], side[1], MIDDLES_XY] += x * y
+                            borders[side[0], side[1], MIDDLES_YY] += y * y
     return pixels, sums, borders
 
 
@@ -202,16 +191,26 @@ def _merge(graph: RegionGraph, target: int, source: int) -> None:
 def _gaps(planes, borders, i, j):
     """Return plane i minus plane j, summed over the pairs along their border, in i and in j."""
     a, b, c = planes[i, 0] - planes[j, 0], planes[i, 1] - planes[j, 1], planes[i, 2] - planes[j, 2]
-    return (a * borders[i, j, 1] + b * borders[i, j, 2] + c * borders[i, j, 0],
-            a * borders[j, i, 1] + b * borders[j, i, 2] + c * borders[j, i, 0])
+    return (a * borders[i, j, PAIRS_X] + b * borders[i, j, PAIRS_Y] + c * borders[i, j, PAIRS],
+            a * borders[j, i, PAIRS_X] + b * borders[j, i, PAIRS_Y] + c * borders[j, i, PAIRS])
 
 
 @kernel('int8[:, ::1](float64[:, ::1], float64[:, :, ::1])', is_short=True)
-def _intersections(planes, borders):
+def intersections(planes, borders):
+    """
+    Find the pairs of regions whose planes intersect along their border, or do not touch.
+
+    Returns
+    -------
+    (K, K) int8
+        Entry i, j is the sign of 1/z of plane min(i, j) minus the other plane, on the side of
+        min(i, j); 0 if one is in front of the other, APART if they do not touch.
+
+    """
     signs = np.zeros((len(planes), len(planes)), np.int8)
     for i in range(len(planes)):
         for j in range(i + 1, len(planes)):
-            if borders[i, j, 0] == 0:
+            if borders[i, j, PAIRS] == 0:
                 signs[i, j] = signs[j, i] = APART
                 continue
             here, there = _gaps(planes, borders, i, j)
@@ -230,11 +229,13 @@ def fold(planes, sums, borders, lens, i, j):
     the border, where a plane that is tilted along it does not.
     """
     here, there = _gaps(planes, borders, i, j)
-    gap = abs(here + there) / (2 * borders[i, j, 0])
+    gap = abs(here + there) / (2 * borders[i, j, PAIRS])
     a, b, c = planes[i, 0] - planes[j, 0], planes[i, 1] - planes[j, 1], planes[i, 2] - planes[j, 2]
-    x, y = borders[i, j, 1] + borders[j, i, 1], borders[i, j, 2] + borders[j, i, 2]
-    square_gap = (a * a * borders[i, j, 4] + 2 * a * b * borders[i, j, 5]
-                  + b * b * borders[i, j, 6] + c * (a * x + b * y)) / borders[i, j, 0] + c * c
+    x = borders[i, j, PAIRS_X] + borders[j, i, PAIRS_X]
+    y = borders[i, j, PAIRS_Y] + borders[j, i, PAIRS_Y]
+    square_gap = (a * a * borders[i, j, MIDDLES_XX] + 2 * a * b * borders[i, j, MIDDLES_XY]
+                  + b * b * borders[i, j, MIDDLES_YY] + c * (a * x + b * y)) / (
+                      borders[i, j, PAIRS]) + c * c
     variance = max(sums[i, VARIANCE] / max(sums[i, N], 1.0),
                    sums[j, VARIANCE] / max(sums[j, N], 1.0), MIN_VARIANCE)
     one = normal_of(planes[i, 0], planes[i, 1], planes[i, 2], lens)

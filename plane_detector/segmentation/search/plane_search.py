@@ -68,7 +68,8 @@ def search_planes(frame: Frame) -> tuple[Frame, PlaneRegions]:
     The floors and the ``source_sigma`` of the noise given bound the noise from below.
     """
     grid, most = frame.grid, frame.config.segmentation.max_planes
-    roughness = roughness_of(frame.image, grid)
+    roughness = roughness_of(frame.image.values, frame.image.valid, grid.slope, grid.size_px,
+                             grid.width_px)
     noise = with_lateral_noise(estimate_noise(grid, frame.noise), grid, roughness)
     noise, grid = with_local_noise(noise, grid, roughness)
     noise = noise.with_smooth_part(START_SHARE * noise.mean_sigma, noise.slope_sigma)
@@ -78,7 +79,9 @@ def search_planes(frame: Frame) -> tuple[Frame, PlaneRegions]:
     for _ in range(MAX_TRIALS):
         found = add_planes(trial, no_planes(grid), min(CALIBRATION_PLANES, most))
         found_noise = _noise_from_planes(trial, found)
-        evidence = _evidence(grid, found, max(found_noise.mean_sigma, floor))
+        # The log-likelihood gain of cells on planes over cells at any typical disparity.
+        evidence = np.count_nonzero(found.labels >= 0) * math.log(max(
+            grid.typical_disparity / max(found_noise.mean_sigma, floor), 1.0))
         if evidence <= best:
             break
         best, frame, regions, noise = evidence, trial, found, found_noise
@@ -90,12 +93,6 @@ def search_planes(frame: Frame) -> tuple[Frame, PlaneRegions]:
     if _differs(noise, frame.noise, floor):
         frame, regions = replace(frame, noise=noise), no_planes(grid)
     return frame, add_planes(frame, regions, most)
-
-
-def _evidence(grid: CellGrid, regions: PlaneRegions, sigma: float) -> float:
-    """Return the log-likelihood gain of cells on planes over cells at any typical disparity."""
-    cells = np.count_nonzero(regions.labels >= 0)
-    return cells * math.log(max(grid.typical_disparity / sigma, 1.0))
 
 
 def _differs(noise: Noise, other: Noise, floor: float) -> bool:

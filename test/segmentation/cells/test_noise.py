@@ -107,7 +107,8 @@ def test_the_roughness_of_a_cell_is_that_along_its_contours():
     slanted = 0.5 + 0.01 * (u + v) + np.random.default_rng(0).normal(0, 0.002, v.shape)
     for disparity in (slanted, slanted + 0.5 * (u >= 324)):
         image = DisparityImage(disparity.astype(np.float32), np.ones(v.shape, bool))
-        rough = roughness_of(image, build_cell_grid(image))
+        grid = build_cell_grid(image)
+        rough = roughness_of(image.values, image.valid, grid.slope, grid.size_px, grid.width_px)
         assert np.sqrt(rough.mean()) == pytest.approx(0.002, rel=0.05)
 
 

@@ -113,8 +113,9 @@ def test_colours_make_patches_only_where_depth_edges_are_blurred(monkeypatch, bl
     """A dark square on the left half, which the depth does not show, is a patch of its own."""
     rgb, labels, planes, disparity = near_and_far(80, blur_px)
     rgb[40:80, 20:60] = 130
-    monkeypatch.setattr('plane_detector.segmentation.segment._label', lambda *_: (
-        labels, np.arange(len(planes)), planes, np.empty(0, np.int64)))
+    for stages in ('_exact', '_measured'):
+        monkeypatch.setattr(f'plane_detector.segmentation.segment.{stages}', lambda *_: (
+            labels, np.arange(len(planes)), planes, np.empty(0, np.int64)))
     patches = segment(disparity, Noise(1e-3), Config(), guide=GuideImage(rgb, 10.5)).patches
     assert patches.shape == ((30, 40) if blur_px else (0, 0))
     if blur_px:
