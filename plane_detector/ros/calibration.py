@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""CameraInfo: the camera that it describes, and the one of a camera."""
+"""Conversion of CameraInfo to a camera model, and of a camera model to CameraInfo."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Distortion(NamedTuple):
 
 
 MODEL_NAMES = {'': 'plumb_bob', 'fisheye': 'equidistant', 'kannala_brandt4': 'equidistant'}
-"""Names of sensor_msgs for the distortion models that drivers call otherwise."""
+"""Names in sensor_msgs of distortion models for which drivers use other names."""
 NO_DISTORTION = Distortion('plumb_bob', (0.0,) * 5)
 
 
@@ -38,7 +38,8 @@ def camera_info_to_msg(header: Header, intrinsics: CameraIntrinsics,
 
 def intrinsics_from_msg(msg: CameraInfo, rectified: bool = False) -> CameraIntrinsics:
     """
-    Return the pinhole model of the image that is sent: by P, if it is rectified and has one, or K.
+    Return the pinhole model of the published image: from P, if it is rectified and has P, else
+    from K.
 
     Binning and region of interest are applied as image_geometry's PinholeCameraModel does. Raises
     ValueError if that matrix is all zeros (the camera is not calibrated) or not finite, or the
@@ -46,8 +47,8 @@ def intrinsics_from_msg(msg: CameraInfo, rectified: bool = False) -> CameraIntri
     """
     has_p = rectified and msg.p[0] != 0
     if not (has_p or np.any(msg.k)):
-        raise ValueError('the CameraInfo has a K of zeros: the camera is not calibrated; '
-                         'calibrate it, or let its driver load the calibration' + (
+        raise ValueError('the K of the CameraInfo is zero, so the camera is not calibrated; '
+                         'calibrate it, or make its driver load the calibration' + (
             f'. But its P has fx {msg.p[0]:g} px: if the images are rectified, remap to a topic '
             'whose name says so, as image_rect' if msg.p[0] and not rectified else ''))
     (fx, _, cx), (_, fy, cy) = (np.reshape(msg.p, (3, 4))[:2, :3] if has_p
@@ -58,6 +59,6 @@ def intrinsics_from_msg(msg: CameraInfo, rectified: bool = False) -> CameraIntri
 
 
 def image_size(msg: CameraInfo) -> tuple[int, int]:
-    """Return width and height of the image that is sent: cropped, then binned."""
+    """Return width and height of the published image: cropped, then binned."""
     width, height = msg.roi.width or msg.width, msg.roi.height or msg.height
     return width // max(msg.binning_x, 1), height // max(msg.binning_y, 1)

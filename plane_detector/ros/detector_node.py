@@ -60,7 +60,7 @@ from plane_detector.ros.point_query import PointQuery
 from plane_detector.ros.spinning import CannotRunError
 from plane_detector.ros.transitions import Autostart, Transitions
 
-# Time that destroy_node waits for the work to stop.
+# Time for which destroy_node waits for the work to stop.
 _STOP_TIMEOUT_S = 1.0
 
 
@@ -109,7 +109,7 @@ class PlaneDetectorNode(LifecycleNode):
         self._outputs: OutputPublishers | None = None
         self._query: PointQuery | None = None
         self._map: LiveMap | None = None
-        # Answers that another thread gives wake the executor.
+        # Answers given by another thread wake the executor.
         self._requests = FrameRequests(self.create_guard_condition(lambda: None).trigger)
         self._faults = FaultLog(self.get_logger(), 'frame skipped')
         self._health = Health(self.get_logger())
@@ -161,7 +161,7 @@ class PlaneDetectorNode(LifecycleNode):
             self._listening = self._needed_tf()
         except ImportError as error:
             raise CannotRunError(explanation(error)) from error
-        except Exception as error:  # whatever a model file may cause, the node keeps running
+        except Exception as error:  # whatever a model file causes, the node keeps running
             self._release()
             return self._fail(f'cannot be configured: {error}', isinstance(error, OSError))
         self._health.failure = ''
@@ -310,11 +310,11 @@ class PlaneDetectorNode(LifecycleNode):
         if self.get_node_names_and_namespaces().count(own) > 1:
             name = self.get_fully_qualified_name()
             self._health.warn_once('namesake', (
-                f'another node is called {name} too: both publish into the same topics; start one '
-                'of them with -r __node:=NAME (or a node of this name has just died)'))
+                f'another node is called {name} too, and both publish on the same topics: start '
+                'one of them with -r __node:=NAME (unless a node of this name has just died)'))
 
     def _needed_tf(self) -> FrameTransforms | None:
-        """Listen to TF if the settings need it; the mounting of an IMU may do without."""
+        """Listen to TF if the settings need it; the mounting of an IMU works without it."""
         settings = self._live.settings
         is_required = settings.base_frame or settings.target_frame
         if self._given_transforms is not None or not (is_required or settings.use_imu):
@@ -327,14 +327,14 @@ class PlaneDetectorNode(LifecycleNode):
             return None
 
     def _load(self) -> PlaneDetector:
-        """Make the pipeline, which may download the network; called in a thread."""
+        """Create the pipeline, which may download the network; called in a thread."""
         while self._retired is not None and not self._retired.wait(0.1):
             raise_if_stopped()  # two networks at once could exceed the memory
-        # The network first: a reason why there is none is known before loops are compiled.
+        # The network first: if it is missing, that is reported before kernels are compiled.
         detector = PlaneDetector(self._live.config, self._depth_model)
         load_kernels(self._live.config, self.get_logger().info)
         tidy_after_loading()
-        # Planes are published meanwhile; a frame whose obstacles somebody wants waits for it.
+        # Planes are published meanwhile; a frame whose obstacles are subscribed to waits for it.
         Background(self._load_late_kernels, 'load_kernels')
         return detector
 
@@ -346,8 +346,8 @@ class PlaneDetectorNode(LifecycleNode):
         except Exception as error:
             reason = plain(f'{type(error).__name__}: {error}')
             self._health.late_failure = reason
-            self.get_logger().error(f'no ground, obstacles and drops, whose kernels cannot be '
-                                    f'compiled: {reason}')
+            self.get_logger().error('no ground, obstacles and drops, because their kernels '
+                                    f'cannot be compiled: {reason}')
 
     def _fail(self, reason: str, may_pass: bool = False) -> TransitionCallbackReturn:
         reason = plain(reason, MOST_OF_FAILURE)

@@ -28,22 +28,22 @@ from plane_detector.ros.qos import SILENT_PUBLISHER, overriding_options
 from plane_detector.types import OBSTACLE_DISTANCES_M, Detection, GroundLack
 
 HARDWARE_ID = 'plane_detector'
-"""Hardware id of all statuses of this package, by which viewers group them."""
+"""Hardware id of all statuses of this package; viewers group statuses by it."""
 PLANES_ID = 'plane_detector planes'
-"""Hardware id of the table of planes: a panel of its own, whatever the name of the node."""
+"""Hardware id of the table of planes, which gets its own panel whatever the name of the node."""
 _PERIOD_S = 1.0
 # chosen: a network uses at most about 500 pixels on its short side; more than four times that
 # only costs time in the other stages.
 LARGE_PX = 2500
 REDUCED_PX = 1280
-"""Longer side that is advised for larger images."""
-# By contract: a camera that is not mounted as stated is reported if it lasts.
+"""Recommended longer side for larger images."""
+# By contract: a camera that is not mounted as stated is reported if that lasts.
 _MISPLACED_S = 5.0
-# chosen: gravity is often found in the second image; a warning that the next line takes back is
-# none.
+# chosen: gravity is often found in the second image; a warning that the next line withdraws is
+# useless.
 _PATIENT_IMAGES = 3
 _NUMBER = re.compile(r'-?\d+(\.\d+)?')
-# Smaller differences are those of the clocks.
+# Smaller differences are due to the clocks.
 _TOLERANCE = 1.1
 POINTS_WITHOUT_FLOOR, DROPS = 'points_without_floor', 'drops'
 GRAVITY_SOURCES = 'scale.gravity, use_imu with an IMU, or base_frame'
@@ -136,7 +136,7 @@ class Statistics:
 
 class Health:
     """
-    Collects problems. The worker thread calls `note`, the executor's thread all the rest.
+    Collects problems. The worker thread calls `note`, the executor's thread everything else.
 
     There is no lock: attributes are replaced as a whole, `_warned` only grows between two calls of
     `clear`, and a status may mix two frames.
@@ -148,7 +148,7 @@ class Health:
     may_pass : bool
         Whether the cause may be temporary, such as an unreachable host.
     late_failure : str
-        Why the loops of ground, obstacles and drops could not be compiled; empty if they could.
+        Why the kernels of ground, obstacles and drops could not be compiled; empty if they could.
 
     """
 
@@ -196,7 +196,7 @@ class Health:
             self._gap_images = 0
 
     def _note_filled(self, gap: str, detection: Detection) -> None:
-        """Log once what is known now, if its absence was a warning or the image has shown it."""
+        """Log once what is now known, if its absence caused a warning or the image provided it."""
         is_in_image = 'gravity' in gap and not math.isnan(detection.gravity.probability)
         if self._gap_images < _PATIENT_IMAGES and not is_in_image:
             return
@@ -269,7 +269,7 @@ def _facts_of(detection: Detection, late_failure: str) -> dict[str, str]:
         facts['camera_tilt_deg'] = f'{detection.tilt_deg:.1f}'
     if (mounting := detection.ground_result.mounting) is not None:
         facts['mounting'] = ', '.join(
-            f'{name} {stated:.{digits}f} {unit} stated, {seen:.{digits}f} seen'
+            f'{name} {stated:.{digits}f} {unit} stated, {seen:.{digits}f} measured'
             for name, stated, seen, unit, digits in (
                 ('height', mounting.stated_height_m, mounting.height_m, 'm', 3),
                 ('tilt', mounting.stated_tilt_deg, mounting.tilt_deg, 'degrees', 1))
@@ -285,14 +285,14 @@ def _facts_of(detection: Detection, late_failure: str) -> dict[str, str]:
 
 
 def _drops_of(detection: Detection, late_failure: str) -> str:
-    """Return what is known of drops; they are searched for when first read."""
+    """Return what is known about drops; they are computed when first read."""
     found = detection.ground_result
     if found.is_known and not are_ready('ground_pixels'):
         return ('not counted: their kernels are being compiled' if not late_failure else
                 f'not counted, their kernels cannot be compiled ({late_failure}): restart the '
                 'node; if that fails too, install numba anew')
     if found.drop_note and not found.edge_note:
-        return f'not looked for: {found.drop_note}'
+        return f'not searched for: {found.drop_note}'
     points = f'{len(found.drops_m)} points'
     return f'{points}; unknown: {found.edge_note}' if found.edge_note else points
 
@@ -335,12 +335,12 @@ def slow_network(report: Report, network_input: str) -> str:
 
 
 def large_image(report: Report) -> str:
-    """Return advice if images are larger than helps the planes, else nothing."""
+    """Return advice if images are larger than is useful for finding planes, else nothing."""
     if report.last is None or max(report.last.detection.labels.shape) <= LARGE_PX:
         return ''
     height, width = report.last.detection.labels.shape
     return (f'an image of {width} x {height} takes {1e3 * sum(report.stage_seconds.values()):.0f} '
-            f'ms: with max_side {REDUCED_PX} it is reduced first')
+            f'ms: set max_side to {REDUCED_PX} to reduce it first')
 
 
 class DiagnosticsPublisher:
@@ -376,7 +376,7 @@ class DiagnosticsPublisher:
 
 def introduction(facts: Mapping[str, str], topics: Mapping[str, str], planes: str) -> list[str]:
     """
-    Return the log lines at configure: source of depth and its reason, inputs and outputs.
+    Return the log lines of the configuration: source of depth and its reason, inputs and outputs.
 
     ``facts`` are of the source of depth, ``topics`` of the inputs, ``planes`` is an output.
     """
@@ -408,7 +408,7 @@ def status_to_msg(name: str, level: bytes, message: str, report: Report,
 def planes_status(name: str, frame: DetectedFrame,
                   planes_in_all: int | None = None) -> DiagnosticStatus:
     """
-    Return the planes of a frame as a table: their number, then one row a plane.
+    Return the planes of a frame as a table: their number, then one row per plane.
 
     ``planes_in_all`` is their number in all frames so far.
     """

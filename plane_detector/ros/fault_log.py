@@ -16,9 +16,9 @@ from typing import Any
 from plane_detector._runtime.plain_text import plain
 
 MOST_OF_FAILURE = 1000
-"""For a fault that ends a transition, which may explain how to copy a network by hand."""
+"""Limit for a fault that ends a transition; it may explain how to copy a network by hand."""
 WARN_PERIOD_S = 5.0
-"""Each kind of fault is logged at most once in this time."""
+"""Each kind of fault is logged at most once within this time."""
 
 
 def reason_of(error: Exception) -> str:

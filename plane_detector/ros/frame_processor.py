@@ -53,7 +53,7 @@ class FrameProcessor:
 
     @property
     def has_network(self) -> bool:
-        """Whether the depth is from a network, which takes long."""
+        """Whether depth comes from a network, which takes long."""
         return isinstance(self.detector.source, ModelDepth)
 
     def process(self, frame: Frame, wanted: Collection[str] = tuple(OUTPUTS)
@@ -109,7 +109,7 @@ class FrameProcessor:
                 distortion=converted.distortion, timer=timer)
             if self.map is not None:
                 with timer('map'):
-                    # 4. One lasting plane for one surface.
+                    # 4. One persistent plane per surface.
                     self.map.add(result, observation.epoch)
             return result
         return find_planes

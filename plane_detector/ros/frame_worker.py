@@ -36,9 +36,9 @@ from plane_detector.ros.point_query import PointQuery
 
 Result, Item = TypeVar('Result'), TypeVar('Item')
 ANSWERED_WITHIN_S = 30.0
-"""A call without a frame is answered after this time."""
+"""A call that gets no frame is answered after this time."""
 MOST_CALLS = 16
-"""More calls than this do not wait, as each takes time of the executor."""
+"""No more calls than this may wait, because each takes time of the executor."""
 
 
 class FrameWorker(Generic[Item]):
@@ -48,7 +48,8 @@ class FrameWorker(Generic[Item]):
     ``begin`` is called with each frame, and returns the function that finishes it, which is called
     after that of the frame before. Both run under a stop for the frame, and must not raise, except
     Stopped. If it ``overlaps``, frames are finished in a second thread, while the next one is
-    begun. It is worth it only if beginning takes long: two threads of Python wait for each other.
+    begun. This is only worthwhile if beginning takes long, because two Python threads wait for
+    each other.
     """
 
     def __init__(self, begin: Callable[[Item], Callable[[], None]], overlaps: bool):
@@ -96,7 +97,7 @@ class FrameWorker(Generic[Item]):
             stop = self._stops[-1]
             finish = _under(stop, partial(self._begin, frame))
             del frame  # no reference while waiting
-            self._begun.join()  # the frame before is finished
+            self._begun.join()  # the previous frame is finished
             if finish is not None and self._overlaps:
                 self._begun.put(partial(_under, stop, finish))
             elif finish is not None:
@@ -117,12 +118,12 @@ class FrameWorker(Generic[Item]):
         with self._changed:
             self._changed.wait_for(lambda: self._ended or self._waiting is not None)
             frame, self._waiting = self._waiting, None
-            self._stops = (*self._stops[-1:], Stop())  # of the frame before too
+            self._stops = (*self._stops[-1:], Stop())  # of the previous frame too
             return None if self._ended else frame
 
 
 def _under(stop: Stop, work: Callable[[], Result]) -> Result | None:
-    """Return the result of some work; None if nobody waits for it any more."""
+    """Return the result of some work; None if nobody is waiting for it any more."""
     try:
         with stop.applies():
             raise_if_stopped()
@@ -164,21 +165,21 @@ class FrameRequests:
                 until_s = time.monotonic() + ANSWERED_WITHIN_S
                 self._calls.append(_Call(self._count, until_s, future))
                 return future
-        future.set_result((False, f'{MOST_CALLS} calls are waiting for a frame already'))
+        future.set_result((False, f'{MOST_CALLS} calls are already waiting for a frame'))
         return future
 
     def accept(self) -> int:
-        """Return the number of a frame for the worker; it, or a later one, answers all so far."""
+        """Return the number of a frame for the worker; it or a later one answers all calls."""
         with self._lock:
             self._count += 1
             return self._count
 
     def finish(self, number: int, success: bool, answer: Any) -> None:
-        """Answer the calls for which the frame of this number, or an earlier one, was accepted."""
+        """Answer the calls for which this frame, by its number, or an earlier one was accepted."""
         self._answer(lambda call: call.after < number, success, answer)
 
     def expire(self, obstacle: str) -> None:
-        """Answer the calls that have waited too long, or all if it is known why no frame comes."""
+        """Answer calls that have waited too long, or all if the reason for no frame is known."""
         now_s = time.monotonic()
         if obstacle:
             self.refuse_all(f'no frame: {obstacle}')
@@ -217,7 +218,7 @@ class FrameRecords(NamedTuple):
 
 class FrameFlow:
     """
-    Passes frames to a processor in a worker thread, and its results to those who wait for them.
+    Passes frames to a processor in a worker thread, and its results to whoever waits for them.
 
     The live settings are applied to the processor before each frame. After `stop` the thread of
     ``worker`` may still run.
@@ -275,7 +276,7 @@ class FrameFlow:
         try:
             found, wanted = find(), self._outputs.wanted()
             messages = make_messages(found, self.pictures.due(found, wanted))
-            with current_stop().uncut():  # all of this or, after a stop, nothing of it
+            with current_stop().uncut():  # all of this or, after a stop, none of it
                 start_s = time.perf_counter()
                 self._outputs.publish(messages)
                 if problem := placement_problem(found, wanted):

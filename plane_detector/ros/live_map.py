@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""The map of a node or of a replay: which images join it, its topics and services."""
+"""The map of a node or of a replay: the images that are added to it, its topics and services."""
 
 from __future__ import annotations
 
@@ -29,21 +29,21 @@ from plane_detector.types import Planes
 
 # chosen: the map is published at most twice a second; in a bag, by the stamps of the images.
 PERIOD_S = 0.5
-# chosen: how far off a plane of the map a click may be: a click is on a surface that is seen.
+# chosen: largest distance of a click from a plane of the map: a click hits a visible surface.
 CLICK_REACH_M = 0.1
-# chosen: a camera that has not moved for so many images may be fixed to the target frame.
+# chosen: a camera that has not moved for this many images may be fixed to the target frame.
 _STILL_IMAGES = 30
 AUTO = 'auto'
-"""Setting of a file that is named after the node."""
+"""Setting for a file that is named after the node."""
 
 
 class LiveMap:
     """
-    A map of planes that several threads may use; ValueError without a frame of the poses.
+    A map of planes that several threads may use; ValueError if the poses have no frame.
 
-    In a node it has topics and services, see :meth:`offer`. All they do is done in the thread of
-    the executor: the topics are the map at the time of a timer, which simulated time does not
-    stop, and after a service. While the node is not active they wait.
+    In a node it has topics and services, see :meth:`offer`. They run in the thread of the
+    executor. The map is published by a timer, which simulated time does not stop, and after a
+    service call. While the node is inactive nothing is published.
     """
 
     def __init__(self, config: MapConfig, target_frame: str):
@@ -67,7 +67,7 @@ class LiveMap:
 
     def offer(self, node: LifecycleNode, file: str) -> None:
         """
-        Make the topics and services of a node, for the ``file`` of the setting ``map.file``.
+        Create the topics and services of a node, for the ``file`` of the setting ``map.file``.
 
         Raises
         ------
@@ -94,7 +94,7 @@ class LiveMap:
             self._outputs.publish(make_map_messages(view))
 
     def misfits(self) -> dict[str, str]:
-        """Return why subscribers receive nothing, as that of the other outputs."""
+        """Return why subscribers receive nothing, as for the other outputs."""
         return self._outputs.misfits()
 
     def destroy(self) -> None:
@@ -106,7 +106,7 @@ class LiveMap:
                 _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         try:
             response.success, response.message = True, act()
-        except Exception as error:  # whatever a file holds, the call is answered
+        except Exception as error:  # whatever the file contains, the call is answered
             reason = plain(str(error), MOST_OF_FAILURE)
             response.success, response.message = False, reason
             warn(f'map: {reason}')
@@ -115,7 +115,7 @@ class LiveMap:
         return response
 
     def add(self, frame: DetectedFrame, epoch: int = 0) -> None:
-        """Add an image if it can be."""
+        """Add an image if possible."""
         if frame.pose is None:
             self._without_pose += bool(frame.pose_problem)
             self._obstacle = frame.pose_problem or (
@@ -123,7 +123,7 @@ class LiveMap:
                 'that does not move, such as odom or map')
             return
         with self._lock:
-            if epoch != self._epoch:  # time jumped back: nothing is known of the pose
+            if epoch != self._epoch:  # time jumped back: nothing is known about the pose
                 self._epoch, self._due_s = epoch, -np.inf
                 self._map.lose_pose()
             before = self._map.correction.pose
@@ -170,7 +170,7 @@ class LiveMap:
             plane.points(plane.cells.nearest_m(plane.flat(inner_m[None])[0])[None])[0]))
             for plane in snapshot.surfaces]
         if not off_m or min(off_m) > CLICK_REACH_M:
-            raise ValueError('there is no plane, in the map either')
+            raise ValueError('there is no plane, nor is there one in the map')
         index = int(np.argmin(off_m))
         return snapshot.planes.picked([index]), snapshot.surfaces[index]
 
@@ -180,7 +180,7 @@ class LiveMap:
             count = len(self._map.sure)
             self._map.clear()
             self._begin()
-        return f'{count} planes are gone'
+        return f'{count} planes were removed'
 
     def save(self, path: Path) -> str:
         """
@@ -193,11 +193,11 @@ class LiveMap:
             return f'{len(self._map.sure)} planes are in {path.absolute()}'
 
     def load(self, path: Path) -> str:
-        """Replace the map by that of a file; on an error, OSError or ValueError, it stays."""
+        """Replace the map by that of a file; it is unchanged after an OSError or ValueError."""
         with self._lock:
             loaded = copy(self._map)
             loaded.load(path, self._frame_id)
-            # What no message can be made of is no map, however that comes.
+            # A map of which no message can be made is refused, whatever the reason.
             make_map_messages(MapView(self._header, loaded.snapshot()))
             self._map = loaded
             self._begin()
@@ -210,7 +210,7 @@ class LiveMap:
         return events
 
     def facts(self) -> dict[str, str]:
-        """Return what the diagnostics say of the map."""
+        """Return what the diagnostics report about the map."""
         with self._lock:
             facts = {'map_planes': str(len(self._map.sure)),
                      'map_images_without_pose': str(self._without_pose)}
@@ -245,7 +245,7 @@ class LiveMap:
             return ''
 
     def _begin(self) -> None:
-        """Note that this is another map than before."""
+        """Note that this is a different map from before."""
         self._update, self._subsumed, self._has_changed = None, {}, True
         self._due_s = -np.inf
 

@@ -3,8 +3,8 @@
 """
 Settings of a running node: declared as parameters, checked, and changed between frames.
 
-The compiled loops that they need are loaded from the user's cache if possible: those of the stages
-configured before the first frame, others later. Compiling takes some ten seconds or more.
+The kernels that they need are loaded from the user's cache if possible: before the first frame for
+the stages configured then, later for others. Compiling takes some ten seconds or more.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def load_kernels(config: Config, log: Callable[[str], None]) -> None:
 
 
 class LateKernels:
-    """Loads the loops of shapes requested while the node runs; meanwhile only planes are found."""
+    """Loads kernels of shapes requested while the node runs; meanwhile it finds only planes."""
 
     def __init__(self, log: Callable[[str], None]) -> None:
         self._log = log
@@ -50,14 +50,14 @@ class LateKernels:
         return self._call is not None and not self._call.wait(0.0)
 
     def without_unready_shapes(self, config: Config) -> Config:
-        """Return the settings for the next frame; begin to load what they lack, in a thread."""
+        """Return the settings for the next frame; start to load missing kernels in a thread."""
         if not config.shapes.wanted or are_ready('shapes'):
             return config
         if self._call is None:
             self._call = Background(self._load, 'load_kernels')
         if self.is_loading:
             return replace(config, shapes=replace(config.shapes, types='none'))
-        return config  # if they could not be compiled, the frame will say why
+        return config  # if they could not be compiled, the frame reports why
 
     def _load(self) -> None:
         compile_kernels(['shapes'], self._log, 'the kernels of shapes.types (planes are found '
@@ -68,9 +68,9 @@ class LiveSettings:
     """
     Current settings, from the parameters that it declares on a node.
 
-    ``is_configured`` returns whether the settings that are read at configure may not change now;
-    ``on_change`` is called after each change, in the thread of the executor. Raises ValueError if
-    a parameter has an invalid value.
+    ``is_configured`` returns whether the settings that are fixed while configured may not change
+    now; ``on_change`` is called after each change, in the thread of the executor. Raises
+    ValueError if a parameter has an invalid value.
     """
 
     def __init__(self, node: Node, is_configured: Callable[[], bool],
@@ -104,6 +104,6 @@ class LiveSettings:
         before = self.config, self.settings
         self.config = parameters.updated(self.config, changed)
         self.settings = parameters.updated(self.settings, changed)
-        # A new subscription declares its qos_overrides, which brings rclpy here again.
+        # A new subscription declares its qos_overrides, for which rclpy calls this again.
         if (self.config, self.settings) != before:
             self._on_change()

@@ -41,7 +41,7 @@ def main(args: list[str] | None = None) -> int:
 
 
 def not_of_ros(args: list[str]) -> list[str]:
-    """Return the arguments outside of ``--ros-args ... --``."""
+    """Return the arguments outside ``--ros-args ... --``."""
     own, is_of_ros = [], False
     for argument in args:
         if argument == '--ros-args':

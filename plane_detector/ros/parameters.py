@@ -34,7 +34,7 @@ def declare(node: Node, defaults: AnySettings) -> AnySettings:
     """
     Declare every field as a parameter, and return the settings with their initial values.
 
-    Raises ValueError if one is out of range or has another type.
+    Raises ValueError if a value is out of range or has the wrong type.
     """
     return updated(defaults, [_declare_one(node, name, field, value)
                               for name, field, value in parameters_of(defaults)])
@@ -115,7 +115,7 @@ def with_floats(settings: Settings, parameters: Iterable[Parameter]) -> list[Par
 
 
 def fixed_changes(old: AnySettings, new: AnySettings) -> list[str]:
-    """Return the names of the settings that differ and are read only at configure."""
+    """Return the names of the settings that differ and are fixed while the node is configured."""
     return [name for (name, field, before), (_, _, after)
             in zip(parameters_of(old), parameters_of(new), strict=True)
             if field.metadata['read_only'] and before != after]
@@ -165,7 +165,7 @@ def _declare_one(node: Node, name: str, field: Field, default: Any) -> Parameter
 
 
 def _kind(default: Any) -> str:
-    """Return what values of a parameter are, in words."""
+    """Return the type of the values of a parameter, in words."""
     kind = {bool: 'true or false', int: 'a whole number', float: 'a number', str: 'a text'}[
         type(_first(default))]
     return f'a list, each {kind}' if isinstance(default, tuple) else kind

@@ -17,9 +17,9 @@ from plane_detector.ros.outputs import messages
 from plane_detector.ros.outputs.frame import DetectedFrame
 from plane_detector.types import Planes
 
-# chosen: a click is within a few pixels of its target; planes further away are not meant.
+# chosen: a click is within a few pixels of its target; planes farther away are not meant.
 REACH_PX = 8
-# chosen: more clicks than a user makes between two frames; limits the memory.
+# chosen: more clicks than a user makes between two frames; limits memory.
 _MOST_CLICKS = 16
 _LOG_PERIOD_S = 0.5  # chosen: users do not click faster, programs may
 
@@ -110,8 +110,8 @@ def point_in_camera(result: DetectedFrame, click: PointStamped) -> np.ndarray:
         return point_m
     if frame == result.target_header.frame_id:
         return result.pose.inverse().points(point_m)
-    raise ValueError(f'it is in the frame {frame}, the planes are in '
-                     f'{result.target_header.frame_id}: use that as fixed frame, or set '
+    raise ValueError(f'it is in the frame {frame}, but the planes are in '
+                     f'{result.target_header.frame_id}: use that as the fixed frame, or set '
                      f'target_frame to {frame}')
 
 

@@ -11,14 +11,15 @@ from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallba
 from rclpy.qos import DurabilityPolicy, QoSPolicyKind, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
-# chosen: more calls than anybody makes at once; those above MOST_CALLS are refused at once.
+# chosen: more calls than anybody makes at the same time; those above MOST_CALLS are refused.
 _CALLS = 256
 
 SILENT_PUBLISHER = PublisherEventCallbacks(use_default_callbacks=False)
 SILENT_SUBSCRIPTION = SubscriptionEventCallbacks(use_default_callbacks=False)
 """
-Endpoints without events: the executor would look at two of each endpoint before every message, as
-long as at all its other entities. `OutputPublishers.misfits` finds what they would report.
+Endpoints without events: the executor would check two events of each endpoint before every
+message, which takes as long as all its other entities. `OutputPublishers.misfits` finds what they
+would report.
 """
 
 
@@ -39,7 +40,7 @@ def service_profile() -> QoSProfile:
     """
     Return the profile of services, requests and answers.
 
-    Of more calls at once than its depth, some would never be answered.
+    If there are more calls at the same time than its depth, some are never answered.
     """
     return QoSProfile(depth=_CALLS, reliability=ReliabilityPolicy.RELIABLE)
 

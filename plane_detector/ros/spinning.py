@@ -20,15 +20,15 @@ from plane_detector._runtime.stopping import Stop
 from plane_detector.ros.fault_log import FaultLog
 
 _SPIN_S = 0.2
-# Time after which a thread gives the interpreter to one that waits for it. Every compiled loop
-# releases it, so with Python's 5 ms the stage of the planes waited for that of the messages many
-# times in each frame. tuned: frames per second of all stages in one process on two loaded cores,
-# 10.6 at 5 ms, 14.2 at 1 ms, flat from 0.2 to 1 ms, with the same core time per frame.
+# Time after which a thread passes the interpreter to a waiting one. Every kernel releases it, so
+# with Python's 5 ms the thread that finds planes waited for the thread that makes messages many
+# times per frame. tuned: frames per second of all stages in one process on two loaded cores, 10.6
+# at 5 ms, 14.2 at 1 ms, flat from 0.2 to 1 ms, with the same core time per frame.
 _SWITCH_INTERVAL_S = 0.001
-# Objects until the garbage collector looks for cycles, of which frames leave none. The points of
-# ~/markers are more than Python's 700, and count as lasting. tuned: time of the collector with all
-# outputs, 1.5 ms a frame at 700, with a pause of .09 s in every 100 frames; .01 ms and no pause
-# from 5000 to 20000.
+# Number of objects after which the garbage collector searches for cycles; frames leave none. The
+# points of ~/markers exceed Python's 700 and would count as long-lived. tuned: time of the
+# collector with all outputs, 1.5 ms a frame at 700, with a pause of .09 s in every 100 frames; .01
+# ms and no pause from 5000 to 20000.
 _COLLECTED_AFTER = 10_000
 
 
@@ -38,7 +38,7 @@ class CannotRunError(Exception):
 
 def run(make_node: Callable[[], Node], args: list[str] | None = None) -> NoReturn:
     """
-    Run a node, made when rclpy is initialised, until SIGINT or SIGTERM; once per process.
+    Run a node, created when rclpy is initialised, until SIGINT or SIGTERM; once per process.
 
     An exception of a callback is logged with its traceback, and the node goes on.
 
@@ -72,7 +72,7 @@ def prepare_process() -> None:
     sys.setswitchinterval(_SWITCH_INTERVAL_S)
     gc.set_threshold(_COLLECTED_AFTER)
     # The stages share the cores. The threads of OpenCV and OpenBLAS spin while they wait for the
-    # next operation: measured 1 and 16 ms of core time for each frame.
+    # next operation, which costs 1 and 16 ms of core time per frame.
     use_one_thread()
 
 

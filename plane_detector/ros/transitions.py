@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Transitions of a lifecycle node: slow ones in a thread, invalid ones answered, the first by itself.
+Transitions of a lifecycle node: slow ones in a thread, invalid ones refused, autostart.
 
 rclpy calls ``on_configure`` in the executor, which could neither answer services nor receive
 messages while a network is downloaded and warmed up. Here this work runs in a thread while the
@@ -25,7 +25,7 @@ from plane_detector._runtime.stopping import Background
 from plane_detector.ros.spinning import CannotRunError
 
 Prepared = TypeVar('Prepared')
-# chosen: an unreachable host is tried again as often as a user would, then less and less often.
+# chosen: an unreachable host is retried as often as a user would, then less and less often.
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 5.0, 300.0
 _PAUSE_FACTOR = 2.0
 
@@ -81,7 +81,7 @@ class Transitions(Generic[Prepared]):
         return self._call is None or self._call.wait(timeout_s)
 
     def _answering(self, by_rclpy: Callable[..., Any]) -> Callable[..., Any]:
-        """Return the callback of the service; in rclpy's own, an invalid one ends the process."""
+        """Return the callback of the service; in rclpy's, an invalid one ends the process."""
         async def answer(request: ChangeState.Request, response: ChangeState.Response):
             try:
                 if not _asks_to_configure(request.transition):
@@ -128,7 +128,7 @@ class Autostart:
                 and self._node.trigger_activate() == TransitionCallbackReturn.SUCCESS):
             return
         if self._exits:
-            raise CannotRunError('it failed, for the reason logged, and exit_on_failure is true')
+            raise CannotRunError('it failed for the logged reason, and exit_on_failure is true')
         if self._node.state == 'unconfigured' and self._may_pass():
             self._node.get_logger().info(f'trying again in {self._pause_s:.0f} s')
             self._wait(self._pause_s)
@@ -136,7 +136,7 @@ class Autostart:
 
 
 def _asks_to_configure(transition: Transition) -> bool:
-    """Return whether the transition is configure, by its label if it has one, else its number."""
+    """Return whether the transition is configure, by its label, or else by its number."""
     if transition.label:
         return transition.label == 'configure'
     return transition.id == Transition.TRANSITION_CONFIGURE

@@ -27,10 +27,10 @@ from plane_detector.mapping.map_file import SavedMap, read_map
 from plane_detector.mapping.map_plane import MapPlane, polygons_of, rectangles_of
 from plane_detector.types import PlaneClass
 
-# A wall is there where it is seen between these heights above the floor: a doorway is a gap, a
-# lintel or a threshold closes none.
+# A wall exists where it was observed between these heights above the floor: a doorway is a gap,
+# which neither a lintel nor a threshold closes.
 WALL_FROM_M, WALL_TO_M = 0.3, 1.7
-# chosen: gaps that are no passage for a robot are closed.
+# chosen: gaps too narrow for a robot are closed.
 LEAST_GAP_M = 0.4
 # chosen: planes within 10 degrees of it are level, and within 10 degrees of upright are walls.
 _LEVEL, _UPRIGHT = np.cos(np.radians(10.0)), np.sin(np.radians(10.0))
@@ -40,7 +40,7 @@ KEEP_OUT_CELL_M = 0.05
 _LONG_SIDE_PX, _BORDER_PX, _STRIP_PX = 1000, 40, 70
 # Wide enough for the height of a surface to be written on it.
 _NAMED_PX = 60
-# As everywhere: floors green, level surfaces yellow-brown, walls blue.
+# The usual colours: floors green, level surfaces yellow-brown, walls blue.
 _STYLE = """
 .paper { fill: #fff } .floor { fill: #cfe8c8 } .surface { fill: #e8c98a; stroke: #8a6d2b }
 .wall { stroke: #2b5fa8; stroke-width: 6; stroke-linecap: round } .ink { stroke: #222 }
@@ -74,7 +74,7 @@ class FloorPlan:
 
 def floor_plan(saved: SavedMap) -> FloorPlan:
     """
-    Return the plan of a map whose frame has z up, as odom and map have.
+    Return the plan of a map whose frame has z up, such as odom or map.
 
     Examples
     --------
@@ -114,7 +114,7 @@ def _wall_pieces(plane: MapPlane, to_frame, floor_m: float) -> list[np.ndarray]:
     height_m = to_frame.points(plane.points(flat_m))[:, 2] - floor_m
     is_there = np.zeros(cells.seen.shape[1], int)
     np.add.at(is_there, columns[(height_m > WALL_FROM_M) & (height_m < WALL_TO_M)], 1)
-    # Most of its height, so that neither a picture rail nor a parapet of one cell is a wall.
+    # Most of the height, so that neither a picture rail nor a parapet of one cell is a wall.
     there = np.flatnonzero(is_there * cells.size_m > 0.3)
     if not len(there):
         return []
@@ -165,7 +165,7 @@ def to_svg(plan: FloorPlan) -> str:
 
 
 def _legend(top: int, px_per_m: float, frame_id: str) -> list[str]:
-    """Return the strip below a plan: how long a metre is, colours, the frame."""
+    """Return the strip below a plan: length of a metre, colours, frame."""
     y, metre = top + 20, round(px_per_m, 1)
     start = _BORDER_PX
     lines = [f'<path class="ink" fill="none" d="M{start} {y - 8} v16 m0 -8 h{metre} m0 -8 v16"/>',
@@ -211,7 +211,7 @@ def to_geojson(plan: FloorPlan) -> str:
 
 
 def write_keep_out(plan: FloorPlan, path: Path) -> None:
-    """Write the walls as a map of Nav2's map server: a YAML file, and an image beside it."""
+    """Write the walls as a map for Nav2's map server: a YAML file, and an image next to it."""
     ends = np.vstack([ends for _, ends in plan.walls] or [np.zeros((1, 2))])
     low, high = ends.min(axis=0) - 1.0, ends.max(axis=0) + 1.0
     width, height = np.ceil((high - low) / KEEP_OUT_CELL_M).astype(int).tolist()
@@ -232,8 +232,8 @@ def to_ply(saved: SavedMap) -> str:
     """
     Return the surfaces as a mesh with the colours of their classes, in ASCII PLY.
 
-    Its faces are convex pieces of the outlines without their holes, counterclockwise as seen from
-    the side that the camera has seen, each with the label of its plane.
+    Its faces are convex pieces of the outlines without their holes, counterclockwise on the
+    observed side, each with the label of its plane.
     """
     to_frame, vertices, faces = saved.transform.inverse(), [], []
     labels = np.array([plane.label for plane in saved.planes], int)
@@ -256,8 +256,9 @@ def convex_pieces(rings: Sequence[np.ndarray]) -> list[np.ndarray]:
     """
     Return trapezoids and triangles (3 or 4, 2), counterclockwise, that fill closed outlines.
 
-    Holes are outlines inside of others. From corner to corner in height no edge ends: in order,
-    each encloses a piece with the next one, which goes on as long as these two stay neighbours.
+    Holes are outlines inside others. Between two consecutive corner heights no edge ends. There,
+    each edge encloses a piece with the next edge in order; the piece continues as long as the two
+    stay neighbours.
 
     Examples
     --------
@@ -309,7 +310,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument('--ply', type=Path, metavar='PLY')
     options = parser.parse_args(arguments)
     if not (options.floor_plan or options.geojson or options.keep_out or options.ply):
-        parser.error('nothing to write: give --floor-plan, --geojson, --keep-out or --ply')
+        parser.error('nothing to write: state --floor-plan, --geojson, --keep-out or --ply')
     return run_program('export', lambda: _export(options))
 
 
@@ -329,14 +330,14 @@ def _export(options: argparse.Namespace) -> int:
 
 
 def _check_paths(options: argparse.Namespace) -> None:
-    """Raise ValueError if a file would be written over the map or over another one."""
+    """Raise ValueError if a file would overwrite the map or another file."""
     used = {options.map.resolve(): 'the map'}
     picture = options.keep_out and options.keep_out.with_suffix('.pgm')
     for path, what in ((options.floor_plan, '--floor-plan'), (options.geojson, '--geojson'),
                        (options.ply, '--ply'), (options.keep_out, '--keep-out'),
                        (picture, 'the image of --keep-out')):
         if path is not None and (other := used.setdefault(path.resolve(), what)) != what:
-            raise ValueError(f'{what} would be written over {other}, {path}: choose another name')
+            raise ValueError(f'{what} would overwrite {other}, {path}: choose another name')
 
 
 if __name__ == '__main__':

@@ -27,12 +27,12 @@ def depth_panel(title: str, depth_m: np.ndarray, unit: str) -> tuple[str, np.nda
 
 
 def csv_head(dtype: np.dtype) -> list[str]:
-    """Return the names of what :func:`csv_row` returns."""
+    """Return the names of the fields that :func:`csv_row` returns."""
     return [*dtype.names, *(['class_name'] if 'class' in dtype.names else [])]
 
 
 def csv_row(fields: np.void) -> list[object]:
-    """Return the fields of a plane or a shape, with six digits; of a plane its class in words."""
+    """Return the fields of a plane or a shape, with six digits, and the class name of a plane."""
     values = [f'{value:.6g}' if isinstance(value, np.floating) else value for value in fields]
     named = [PlaneClass(fields['class']).readable] if 'class' in fields.dtype.names else []
     return [*values, *named]
@@ -43,8 +43,8 @@ def write_ply(path: Path, points_m: np.ndarray, rgb: np.ndarray, labels: np.ndar
     """
     Write the points (..., 3) with finite coordinates, little-endian binary; return their number.
 
-    Each has a colour, uint8, and the label of a plane, 0 for none. The file states whether the
-    unit is the metre or unknown.
+    Each point has a colour, uint8, and the label of a plane, 0 for none. The file states whether
+    the unit is the metre or unknown.
     """
     valid = np.isfinite(points_m).all(axis=-1)
     vertices = np.empty(np.count_nonzero(valid), _VERTEX)

@@ -1,29 +1,29 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""A domain of DDS for programs that must neither hear nor disturb other ROS nodes."""
+"""A DDS domain for programs that must be isolated from other ROS nodes."""
 
 import os
 import random
 import socket
 
-# chosen: below the ports that systems give away, 32768 on; one number has one port.
+# chosen: below the ephemeral ports, from 32768 on; one port per domain.
 _FIRST_PORT = 22119
-_LARGEST_DOMAIN = 101  # of a larger one ports may clash with those
+_LARGEST_DOMAIN = 101  # ports of a larger one may clash with those
 _held: list[socket.socket] = []
 
 
 def private_domain() -> int:
     """
-    Return a domain that no other process on this machine has from here until this one ends.
+    Return a domain that no other process on this machine gets from here while this one runs.
 
-    Every call returns another one. From then on this process and its children find nodes on this
-    machine alone. A domain is held by a bound port to which nothing listens, the method of ROS 2's
-    domain_coordinator: it ends with the process, however that ends.
+    Every call returns a new one. From then on, this process and its children find only nodes on
+    this machine. A domain is reserved by a bound port on which nothing listens, as in ROS 2's
+    domain_coordinator, so it is released with the process, however that ends.
 
     Raises
     ------
     RuntimeError
-        All are taken.
+        All domains are taken.
 
     """
     os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'

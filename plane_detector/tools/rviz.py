@@ -32,15 +32,15 @@ with quiet_interrupt(), explained_imports():
 
 _FILE = 'plane_detector.rviz'
 _NODE, _FRAME = 'plane_detector/', 'Fixed Frame: camera_optical_frame'
-# The view of the file is for an optical frame, whose y axis points down; that of odom, map and
-# base_link points up along z (REP-103, REP-105).
+# The view in the file is for an optical frame, whose y axis points down; in odom, map and
+# base_link, z points up (REP-103, REP-105).
 _VIEW = re.compile(r'(Focal Point:\s+X: )\S+(\s+Y: )\S+(\s+Z: )\S+'
                    r'(.*?Pitch: )\S+(\s+Yaw: )\S+', re.DOTALL)
 _VIEW_OF_Z_UP = r'\g<1>1\g<2>0\g<3>0\g<4>0.7\g<5>3.14'
 
 
 def wait_for_frame(node: Node, timeout_s: float) -> str:
-    """Return the frame of the camera; TimeoutError without CameraInfo within this time."""
+    """Return the frame of the camera; TimeoutError if no CameraInfo arrives within this time."""
     topic = input_topics(node, 'raw', DepthConfig())['camera_info']
     is_there, msg = wait_for_message(
         CameraInfo, node, topic, qos_profile=qos_profile_sensor_data, time_to_wait=timeout_s)
@@ -48,7 +48,7 @@ def wait_for_frame(node: Node, timeout_s: float) -> str:
         return msg.header.frame_id
     if not node.context.ok():  # by a signal
         raise KeyboardInterrupt
-    raise TimeoutError(f'nothing on {topic} within {timeout_s:g} s: remap image, or give the '
+    raise TimeoutError(f'nothing on {topic} within {timeout_s:g} s: remap image, or state the '
                        'frame by --frame')
 
 
@@ -66,7 +66,8 @@ def main(args: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog='ros2 run plane_detector rviz',
                                      description=__doc__.strip().splitlines()[0],
                                      epilog=f'More: {PAGES}/recipes.md')
-    parser.add_argument('--frame', default='', help='fixed frame (default: that of the camera)')
+    parser.add_argument('--frame', default='', help='fixed frame (default: the frame of the '
+                                                    'camera)')
     parser.add_argument('--node', default='plane_detector', help='name of the detector')
     parser.add_argument('--timeout', type=float, default=60.0, metavar='S',
                         help='time to wait for a camera, s (default: %(default)s)')

@@ -52,7 +52,7 @@ def table_of(msg: PointCloud2, is_metric: bool = True, camera: str = '') -> str:
     """
     Return the planes of ``~/planes``, largest first, or of ``~/map/planes`` as lines of text.
 
-    ``camera`` is what the diagnostics say of its height, tilt and drops.
+    ``camera`` is the line of the diagnostics about its height, tilt and drops.
     """
     unit = 'metres' if is_metric else 'lengths in an unknown unit'
     rows = read_cloud(msg).ravel() if msg.height else ()
@@ -86,7 +86,7 @@ def camera_line(facts: Mapping[str, str]) -> str:
 
 class PlanePrinter(Node):
     """
-    Prints every message of ``~/planes``, clearing a terminal before each. Logs why none arrives.
+    Prints every message of ``~/planes``, clearing the terminal before each. Logs why none arrives.
 
     ``detector`` is the name of the node, with its namespace; ``as_json`` prints a line of JSON
     for each message instead, ``of_map`` prints the planes of the map.
@@ -163,7 +163,7 @@ def main(args: list[str] | None = None) -> int:
             rclpy.spin_once(node, timeout_sec=0.2)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
-    except BrokenPipeError:  # as of `show | head`; what the interpreter flushes last goes nowhere
+    except BrokenPipeError:  # as with `show | head`; the interpreter's last flush goes nowhere
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     finally:
         node.destroy_node()

@@ -1,3 +1,3 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Labels that are stable from image to image."""
+"""Labels that persist from image to image."""

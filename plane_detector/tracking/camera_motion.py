@@ -18,11 +18,11 @@ import numpy as np
 
 from plane_detector.types import Planes
 
-# chosen: a change of a millionth changes no label; a camera that stands still needs two rounds.
+# chosen: a change of a millionth changes no label; a stationary camera needs two rounds.
 _MOST_ROUNDS, _CONVERGED = 8, 1e-6
 # Weight of the prior for no rotation; all planes together have weight 1.
 _NO_TURN_WEIGHT = 0.03
-# Lower bound of the deviation between normals, however small the covariance of their fit.
+# Lower bound of the standard deviation between normals, however small the covariance of the fit.
 _NORMAL_SPREAD_RAD = np.radians(1.0)
 _TURN_SPREAD_RAD = np.radians(2.0)
 # Spread of the offsets of a rigid scene, and of the translation of the camera between two images,
@@ -35,14 +35,14 @@ _FIRST_CAUTION = 0.01
 
 @dataclass(frozen=True)
 class PlaneMotion:
-    """A similarity from the previous camera frame to the present one."""
+    """A similarity transform from the previous camera frame to the current one."""
 
     rotation: np.ndarray  # (3, 3) float64
     translation_m: np.ndarray  # (3,) float64, in the unit of the present image
     scale: float  # factor on lengths; 1 if the unit is known
 
     def move(self, planes: Planes) -> Planes:
-        """Return planes of the previous camera frame in the present one."""
+        """Return planes of the previous camera frame in the current one."""
         return planes.moved(self, self.scale)
 
 
@@ -58,8 +58,8 @@ def estimate_motion(before: Planes, after: Planes, pairs: tuple[np.ndarray, np.n
     2. Estimate translation and scale by least squares.
 
     Both are reweighted with Cauchy's function, so that a few wrong pairs have little effect. The
-    ``pairs`` are the indices (N,) of planes in the previous and in the present camera frame, with
-    a weight (N,) each. Without a pair there is no motion.
+    ``pairs`` are the indices (N,) of planes in the previous and in the current camera frame, with
+    a weight (N,) each. Without pairs the motion is zero.
     """
     old, new = pairs
     if not len(old):
@@ -81,11 +81,11 @@ def estimate_motion(before: Planes, after: Planes, pairs: tuple[np.ndarray, np.n
 
 
 def _rotation(before: np.ndarray, after: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Return the rotation (3, 3) that maps the normals (N, 3) before to those after."""
+    """Return the rotation (3, 3) from the previous normals (N, 3) to the current ones."""
     rotation, prior = np.eye(3), _NO_TURN_WEIGHT * np.eye(3)
     robust, caution = weights, _FIRST_CAUTION
     for _ in range(_MOST_ROUNDS):
-        # OpenCV: numpy takes several times as long to begin with so few numbers.
+        # OpenCV: the overhead of numpy is several times larger for so few numbers.
         _, left, right = cv2.SVDecomp((after.T * robust) @ before + caution * prior)
         if cv2.determinant(left @ right) < 0:
             left[:, 2] *= -1

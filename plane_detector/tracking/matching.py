@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Likeness of planes in two images, by their pixels, position and coefficients; their pairs."""
+"""Similarity of planes in two images by pixels, position and coefficients; matching."""
 
 from __future__ import annotations
 
@@ -13,30 +13,30 @@ import numpy as np
 from plane_detector._runtime.compilation import kernel
 from plane_detector.types import Planes
 
-# Standard deviations of one plane in two images, apart from the motion of the camera: of the angle
-# between the normals, and of the distance from the plane as a share of that from the camera.
+# Standard deviations of one plane between two images, apart from the motion of the camera: of the
+# angle between the normals, and of the offset as a share of the distance from the camera.
 _ANGLE_RAD, _OFFSET_SHARE = math.radians(10.0), 0.03
 _TINY_M2 = 1e-12
 
 
 @dataclass(frozen=True)
 class Overlap:
-    """Pixels that T known planes share with N found planes, (T, N) float64."""
+    """Pixels that T known planes share with N detected planes, (T, N) float64."""
 
     of_union: np.ndarray  # share of the union of their pixels: 1 only for identical pixels
-    of_known: np.ndarray  # share of the known plane: 1 also for each part of a merged plane
-    common: np.ndarray  # their number
+    of_known: np.ndarray  # share of the known plane: also 1 for each part of a merged plane
+    common: np.ndarray  # number of shared pixels
 
 
 def thinned(labels: np.ndarray, rows: int) -> np.ndarray:
-    """Return labels (H, W) on about so many rows, as (M,) int32."""
+    """Return labels (H, W) on about this many rows, as (M,) int32."""
     step = max(1, min(labels.shape) // rows)
     return np.ascontiguousarray(labels[::step, ::step], np.int32).ravel()
 
 
 def measure_overlap(pixels: np.ndarray, known_px: np.ndarray, labels: np.ndarray,
                     found_px: np.ndarray) -> Overlap:
-    """Return the overlap of known things, as of :func:`sorted_pixels`, with labels (M,) now."""
+    """Return the overlap of known objects, from :func:`sorted_pixels`, with new labels (M,)."""
     common, known_px = _count_common(pixels, known_px, labels, len(found_px)), known_px[:, None]
     return Overlap(common / np.maximum(known_px + found_px - common, 1),
                    common / np.maximum(known_px, 1), common)
@@ -44,7 +44,7 @@ def measure_overlap(pixels: np.ndarray, known_px: np.ndarray, labels: np.ndarray
 
 @kernel('Tuple((int32[::1], int64[::1]))(int32[::1], int64)', is_short=True)
 def sorted_pixels(labels, count):
-    """Return the indices of the pixels, ordered by label, and how many each label has (count,)."""
+    """Return the indices of the pixels, ordered by label, and the count per label (count,)."""
     sizes, place = np.zeros(count, np.int64), np.zeros(count + 1, np.int64)
     for i in range(len(labels)):
         if 0 <= labels[i] < count:
@@ -61,7 +61,7 @@ def sorted_pixels(labels, count):
 
 @kernel('int64[:, ::1](int32[::1], int64[::1], int32[::1], int64)', is_short=True)
 def _count_common(pixels, known_px, labels, count):
-    """Return the number of pixels that known things (T,) share with labels, (T, N)."""
+    """Return the number of pixels that known objects (T,) share with labels, (T, N)."""
     common, first = np.zeros((len(known_px), count), np.int64), 0
     for t in range(len(known_px)):
         for i in range(first, first + known_px[t]):
@@ -72,7 +72,7 @@ def _count_common(pixels, known_px, labels, count):
 
 
 def split_by(pixels: np.ndarray, sizes: np.ndarray) -> list[np.ndarray]:
-    """Return the pixels of each label, as of :func:`sorted_pixels`."""
+    """Return the pixels of each label, from :func:`sorted_pixels`."""
     ends = np.cumsum(sizes).tolist()
     return [pixels[begin:end] for begin, end in itertools.pairwise([0, *ends])]
 
@@ -81,9 +81,9 @@ def compare(before: Planes, after: Planes, growth: np.ndarray) -> tuple[np.ndarr
     """
     Compare T planes with N others in the same camera frame.
 
-    Return the squares of the standard deviations by which their coefficients differ, where a
-    factor ``growth`` (T,) is on the variances between two images, and the nearness of their
-    centroids: 1 for equal ones, less with the distance over the smaller size. Both are (T, N).
+    Return the squared difference of their coefficients in standard deviations, with a factor
+    ``growth`` (T,) on the variances between two images, and the nearness of their centroids: 1 if
+    they are equal, decreasing with the distance over the smaller size. Both are (T, N).
     """
     return _compare(*(tuple(map(np.ascontiguousarray, (
         one.normals, one.offsets_m, one.centroids_m, one.covariances, one.areas_m2)))
@@ -121,7 +121,7 @@ def _compare(before, after, growth):
 
 @kernel(f'float64[:, ::1]({_PLANES})')
 def _spreads(planes):
-    """Return the distance of each plane, the variance of its normal and of its offset over it."""
+    """Return the distance of each plane, and the variances of its normal and relative offset."""
     (normals, _, centroids, covariances, _), spreads = planes, np.zeros((len(planes[1]), 3))
     for k in range(len(normals)):
         variance = covariances[k, 3, 3]
@@ -139,11 +139,11 @@ def _spreads(planes):
 def labels_of_found(labels: np.ndarray, missed: np.ndarray, match: np.ndarray,
                     keep_frames: int) -> tuple[np.ndarray, np.ndarray]:
     """
-    Return the label of each thing found in an image (N,), and the indices of those missing.
+    Return the label of each object detected in an image (N,), and indices of the missing.
 
-    Of the known things (T,) these are the labels, and for how many images each was missing. The
-    ``match`` (N,) gives which one each found thing is; others, -1, get the smallest free labels
-    above 0. Those that were missing for ``keep_frames`` images are dropped.
+    The known objects (T,) are given by their labels, and by the number of images for which each
+    was missing. ``match`` (N,) is the known object of each detected one; new ones, -1, get the
+    smallest free labels above 0. Objects missing for ``keep_frames`` images are dropped.
     """
     is_kept = missed < keep_frames
     is_kept[match[match >= 0]] = False
@@ -155,14 +155,14 @@ def labels_of_found(labels: np.ndarray, missed: np.ndarray, match: np.ndarray,
 
 def matched(score: np.ndarray, least: float) -> np.ndarray:
     """
-    Return which known thing each found one is, one to one with the largest sum of scores.
+    Match detected objects one to one with known ones, with the largest sum of scores.
 
     Parameters
     ----------
     score : (T, N) float64
-        NaN counts as no likeness, 0.
+        NaN counts as no similarity, 0.
     least : float
-        Pairs with this score, or less, are not the same.
+        Pairs with this score, or a lower one, do not match.
 
     Returns
     -------

@@ -40,7 +40,7 @@ class ShapeTrack:
 def update_shape_tracks(tracks: Sequence[ShapeTrack], shapes: Sequence[Shape], labels: np.ndarray,
                         keep_frames: int) -> tuple[tuple[ShapeTrack, ...], tuple[int, ...]]:
     """
-    Match the shapes of an image with the known ones; return the tracks after it, and the labels.
+    Match the shapes of an image with the known ones; return the new tracks, and the labels.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def update_shape_tracks(tracks: Sequence[ShapeTrack], shapes: Sequence[Shape], l
 
 def _match(tracks: Sequence[ShapeTrack], shapes: Sequence[Shape],
            labels: np.ndarray, sizes: np.ndarray) -> np.ndarray:
-    """Return the track of each shape (N,), by the labels (M,) and their sizes (N,); -1 none."""
+    """Return the track of each shape (N,), from the labels (M,) and their sizes (N,); -1 none."""
     if not tracks or not shapes:
         return np.full(len(shapes), -1)
     overlap = measure_overlap(

@@ -5,8 +5,8 @@ Tracking of planes without odometry: a plane keeps its label from image to image
 
 1. Estimate the motion of the camera from planes that overlap in two images, and move the known
    planes with it.
-2. Score each pair of a known and a found plane by shared pixels or position, and by how well their
-   coefficients agree within their uncertainty.
+2. Score each pair of a known and a detected plane by shared pixels or position, and by how well
+   their coefficients agree within their uncertainty.
 3. Assign them one to one by the Hungarian method [Kuhn 1955].
 
 A label is reused only after its plane has been dropped.
@@ -35,9 +35,9 @@ from plane_detector.types import NO_PLANES, Planes, PlaneSegmentation
 # The overlap is measured on about this many rows.
 _ROWS = 120
 _MIN_SCORE = 0.05
-# Weight of a plane that was missed in the last image, relative to one that was seen in it.
+# Weight of a plane that was missed in the last image, relative to one that was detected in it.
 _MISSED = 0.3
-# Weight of a plane seen only once, which may be a fragment of an older one.
+# Weight of a plane that was detected only once, and may be a fragment of an older one.
 _YOUTH = 0.9
 _MOTION_MIN_OVERLAP = 0.3
 _MOTION_MIN_COSINE = np.cos(np.radians(30.0))
@@ -45,7 +45,7 @@ _MOTION_MIN_COSINE = np.cos(np.radians(30.0))
 # within three standard deviations, as for other decisions on coefficients.
 _MERGED_SHARE, _MOST_DEVIATIONS = 0.5, 3.0
 
-# chosen: three times the deviation of one plane between two images; what is nearer lies before it.
+# chosen: three times the deviation of one plane between two images; nearer planes are in front.
 _BEFORE_SHARE = 0.1
 
 
@@ -54,8 +54,8 @@ class KnownPlanes:
     """The T known planes after an image: those of the image, in its order, then missing ones."""
 
     planes: Planes  # in the camera frame of that image, with their labels
-    pixels: np.ndarray  # (M,) int32, plane by plane, in the thinned image it was last seen in
-    sizes: np.ndarray  # (T,) int64, how many pixels each has
+    pixels: np.ndarray  # (M,) int32, plane by plane, in the thinned image that last showed it
+    sizes: np.ndarray  # (T,) int64, number of pixels of each
     streaks: np.ndarray  # (T,) int64: consecutive images in which it was found, up to the last one
     missed: np.ndarray  # (T,) int64: images since it was last found
 
@@ -106,21 +106,21 @@ class PlaneTracker:
 
 def update_tracks(known: KnownPlanes, found: PlaneSegmentation, config: TrackingConfig
                   ) -> tuple[KnownPlanes, Planes]:
-    """Return what is known after an image, and its planes with their labels."""
+    """Return the known planes after an image, and its own planes with their labels."""
     image, after = thinned(found.labels, _ROWS), found.planes
     pixels, sizes = sorted_pixels(image, len(after))
     overlap = measure_overlap(known.pixels, known.sizes, image, sizes)
     moved = _moved_along(known, after, sizes, overlap)
     deviation2, nearness = compare(moved, after, 1 + known.missed)
-    # By shared pixels, of all or of what still can be seen, or by the centroids, if the camera has
-    # turned so far that there are none.
+    # By shared pixels, of all pixels or of those still visible, or by the centroids if the camera
+    # has turned so far that no pixels are shared.
     place = np.maximum((overlap.of_union + overlap.of_known) / 2, nearness)
     place = np.maximum(place, _share_of_seen(moved, after, sizes, overlap.common))
     score = place * np.exp(-0.5 * deviation2)
     trust = (1 - _YOUTH / known.streaks) * np.where(known.missed > 0, _MISSED, 1.0)
     match = matched(np.where(score < _MIN_SCORE, 0, score) * trust[:, None], 0.0)
     labels, gone = labels_of_found(moved.labels, known.missed, match, config.keep_frames)
-    # The last is for planes that were not known.
+    # The last column is for planes that were not known.
     streaks = np.append(np.where(known.missed == 0, known.streaks, 0), 0)[match] + 1
     after = replace(after, labels=labels, merged=_merged_labels(known, match, overlap, deviation2))
     if not len(gone):
@@ -136,10 +136,10 @@ def update_tracks(known: KnownPlanes, found: PlaneSegmentation, config: Tracking
 def _share_of_seen(known: Planes, after: Planes, sizes: np.ndarray,
                    common: np.ndarray) -> np.ndarray:
     """
-    Return the pixels that two planes share as a share of those that show either, (T, N).
+    Return the shared pixels of two planes as a share of the pixels that show either, (T, N).
 
-    Where there is no plane now, or one that lies before the known one, that may go on behind it:
-    of a wall of which a person close by leaves a tenth, this tenth is all that can be compared.
+    Where there is no plane now, or a plane in front of the known one, the known plane may continue
+    behind it: if a person leaves a tenth of a wall visible, only this tenth can be compared.
     """
     is_seen = np.where(_nearer(known, after) > _BEFORE_SHARE, 0, common)
     either = is_seen.sum(axis=1, keepdims=True) + sizes - is_seen
@@ -147,20 +147,21 @@ def _share_of_seen(known: Planes, after: Planes, sizes: np.ndarray,
 
 
 def _nearer(known: Planes, after: Planes) -> np.ndarray:
-    """Return how far planes lie before known ones, as a share of their distance, (T, N)."""
+    """Return how far planes are in front of known ones, as a share of their distance, (T, N)."""
     return (known.normals @ after.centroids_m.T + known.offsets_m[:, None]
             ) / known.distances_m[:, None]
 
 
 def _moved_along(known: KnownPlanes, after: Planes, sizes: np.ndarray,
                  overlap: Overlap) -> Planes:
-    """Move the known planes with the motion of those that are reliably found in both images."""
+    """Move the known planes with the motion of planes that are reliably matched in both images."""
     share = overlap.of_union
     if not share.size:
         return known.planes
     cosines = known.planes.normals @ after.normals.T
-    # A person who steps before a wall has many of its pixels, and the wall has them again after;
-    # where a rest of it is seen at its place, what lies before or behind it is another.
+    # A person who steps in front of a wall takes many of its pixels, and the wall takes them back
+    # later; where a part of the wall is visible at its place, planes in front or behind are
+    # different.
     nearer = _nearer(known.planes, after)
     is_rest = (abs(nearer) < _BEFORE_SHARE) & (cosines > _MOTION_MIN_COSINE) & (overlap.common > 0)
     is_another = (((nearer > _BEFORE_SHARE) & is_rest.any(axis=1, keepdims=True))
@@ -176,10 +177,10 @@ def _moved_along(known: KnownPlanes, after: Planes, sizes: np.ndarray,
 def _merged_labels(known: KnownPlanes, match: np.ndarray, overlap: Overlap,
                    deviation2: np.ndarray) -> np.ndarray:
     """
-    Return, for each plane of an image, the label that was merged into it since the last image.
+    Return, for each plane of an image, the label merged into it since the last image.
 
-    A label that has disappeared was merged into a plane that was found in the last image too, now
-    covers most of its pixels, and is coplanar with it. 0: none; the largest plane if there are
+    A label that has disappeared was merged into a plane that was also detected in the last image,
+    now covers most of its pixels, and is coplanar with it. 0: none; the largest if there are
     several.
     """
     merged, most = np.zeros(len(match), np.int64), np.zeros(len(match))

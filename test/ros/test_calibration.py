@@ -47,7 +47,8 @@ def test_a_rectified_image_needs_no_k(fx):
     info.k, info.p = [0.0] * 9, [fx, 0, 310, 0, 0, 401, 230, 0, 0, 0, 1, 0]
     assert intrinsics_from_msg(info, rectified=True) == CameraIntrinsics(
         fx, 401.0, 310.0, 230.0, 640, 480)
-    with pytest.raises(ValueError, match=f'K of zeros.* its P has fx {fx:g} px.* image_rect'):
+    with pytest.raises(ValueError,
+                       match=f'K of the CameraInfo is zero.* its P has fx {fx:g} px.* image_rect'):
         intrinsics_from_msg(info)
     info.p = [0.0] * 12
     with pytest.raises(ValueError, match='not calibrated; .* load the calibration$'):

@@ -76,8 +76,8 @@ def test_a_camera_that_is_not_mounted_as_stated_is_reported_if_it_lasts():
         assert level == DiagnosticStatus.WARN
         assert all(number in message for number in ('0.70 m', '0.60 m', '23.5', '20.0'))
     assert len(lines) == 1
-    assert health.facts['mounting'] == ('height 0.600 m stated, 0.700 seen, '
-                                        'tilt 20.0 degrees stated, 23.5 seen')
+    assert health.facts['mounting'] == ('height 0.600 m stated, 0.700 measured, '
+                                        'tilt 20.0 degrees stated, 23.5 measured')
     health.note(detection((1, 3), mounting=right), (), 13.0)
     assert health.status(Report(3, 0, 0, 1.0), '')[0] == DiagnosticStatus.OK
 
@@ -130,7 +130,7 @@ def test_the_facts_are_those_of_the_last_frame(monkeypatch):
     assert health.facts['gravity_probability'] == '0.93' and health.facts['drops'] == '0 points'
     health.note(detection((1, 3), 'relative', note='the unit is not known'), ())
     assert 'gravity_probability' not in health.facts and 'noise' not in health.facts
-    assert health.facts['drops'] == 'not looked for: the unit is not known'
+    assert health.facts['drops'] == 'not searched for: the unit is not known'
     ready.clear()
     health.note(detection((1, 3)), ())
     assert health.facts['drops'] == 'not counted: their kernels are being compiled'

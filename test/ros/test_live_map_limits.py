@@ -29,7 +29,7 @@ def test_a_click_is_answered_within_ten_centimetres_of_a_plane(live):
     for point_m in ([0.5, 0.5, 0.09], [1.05, 0.5, 0.0]):
         assert live.plane_at(np.array(point_m))[1].label == 7
     for point_m in ([0.5, 0.5, 0.13], [1.13, 0.5, 0.0], [0.5, -2.0, 0.0]):
-        with pytest.raises(ValueError, match='in the map either'):
+        with pytest.raises(ValueError, match='nor is there one in the map'):
             live.plane_at(np.array(point_m))
 
 
@@ -53,7 +53,7 @@ def test_a_map_is_given_out_once_for_each_change(live, tmp_path):
     live.load(tmp_path / 'map.json')
     assert [plane.label for plane in live.take_view().snapshot.surfaces] == [7]
     assert live.take_view() is None
-    assert live.clear() == '1 planes are gone'
+    assert live.clear() == '1 planes were removed'
     assert live.take_view().snapshot.surfaces == ()
 
 

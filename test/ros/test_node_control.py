@@ -401,7 +401,7 @@ def test_a_network_that_is_slower_than_the_camera_is_reported_with_both_times():
 
 
 @pytest.mark.parametrize(('side', 'advice'), [
-    (4000, 'an image of 4000 x 2000 takes 410 ms: with max_side 1280 it is reduced first'),
+    (4000, 'an image of 4000 x 2000 takes 410 ms: set max_side to 1280 to reduce it first'),
     (2500, '')])
 def test_images_larger_than_helps_are_reported(side, advice):
     last = SimpleNamespace(detection=SimpleNamespace(labels=np.empty((2000, side))))

@@ -100,7 +100,7 @@ def test_nothing_is_written_over_the_map_or_another_file(saved, tmp_path, capsys
                   ['--keep-out', 'a.pgm'], ['--keep-out', 'a.yaml', '--ply', 'a.pgm']):
         words = [word if word.startswith('--') else str(tmp_path / word) for word in words]
         assert main([str(file), *words]) == 1
-        assert 'would be written over' in capsys.readouterr().err
+        assert 'would overwrite' in capsys.readouterr().err
         assert [path.name for path in tmp_path.iterdir()] == ['map.json']
     assert file.read_text() == before
 

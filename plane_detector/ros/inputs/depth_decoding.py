@@ -4,7 +4,7 @@
 Measured depth from messages: images (REP-118), compressedDepth, organised point clouds.
 
 compressedDepth is the transport of compressed_depth_image_transport: 12 bytes, then a PNG file of
-16 bits, or width, height and RVL. Of an image in metres it holds rounded inverse depth.
+16 bits, or width, height and RVL data. For an image in metres it holds rounded inverse depth.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from plane_detector.ros.inputs.image_decoding import compressed_size, decompress
 from plane_detector.ros.inputs.rvl import decode_rvl
 from plane_detector.types import CameraIntrinsics
 
-# By encoding: type of the numbers, and metres of one of them.
+# By encoding: type of the numbers, and metres per raw unit.
 _ENCODINGS = {'32fc1': ('f4', 1.0), 'r_float32': ('f4', 1.0), '16uc1': ('u2', 0.001),
               'mono16': ('u2', 0.001)}
 COMPRESSED_DEPTH = '/compressedDepth'
 _HEADER, _SIZE = struct.Struct('<iff'), struct.Struct('<II')
 _FIELD_TYPES = {PointField.FLOAT32: 'f4', PointField.FLOAT64: 'f8'}
-# chosen: a lens that is not rectified turns rays by less; another frame turns them by far more.
+# chosen: an unrectified lens rotates rays by less; a different frame rotates them by far more.
 _MOST_OFF_RAY = 0.1
 _CHECKED_STEP = 8
 
@@ -46,7 +46,7 @@ def depth_from_msg(msg: Image | CompressedImage | PointCloud2, most_pixels: int,
     most_pixels : int
         A compressed image of more pixels is rejected.
     unit_m : float
-        Metres of one count; 0: as above.
+        Metres per raw unit; 0: as above.
 
     Returns
     -------
@@ -65,7 +65,7 @@ def depth_from_msg(msg: Image | CompressedImage | PointCloud2, most_pixels: int,
     compressed = isinstance(msg, CompressedImage)
     encoding = (msg.format.partition(';')[0] if compressed else msg.encoding).strip()
     if encoding.lower() not in _ENCODINGS:
-        raise ValueError(f'depth encoding {encoding!r} is not known: 32FC1 (metres) and 16UC1 '
+        raise ValueError(f'depth encoding {encoding!r} is not supported: 32FC1 (metres) and 16UC1 '
                          '(millimetres) are')
     number_type, by_encoding_m = _ENCODINGS[encoding.lower()]
     if compressed:
@@ -116,7 +116,7 @@ def _decompressed(msg: CompressedImage, number_type: str, most_pixels: int) -> n
         _check_size(*size, most_pixels)
         counts = decompressed(payload, size, cv2.IMREAD_UNCHANGED)
         if counts.ndim != 2 or counts.dtype != np.uint16:
-            raise ValueError('the image of the compressedDepth message is not of 16 bits')
+            raise ValueError('the image of the compressedDepth message does not have 16 bits')
     if number_type == 'u2':
         return counts
     with np.errstate(all='ignore'):  # by a hostile header
@@ -137,16 +137,16 @@ def check_rays(msg: PointCloud2, intrinsics: CameraIntrinsics) -> None:
         off = abs(x_m / z_m - own[..., 0]) + abs(y_m / z_m - own[..., 1])
     off = off[np.isfinite(off)]
     if len(off) and np.median(off) > _MOST_OFF_RAY:
-        raise ValueError('the points of the cloud are not on the rays of their pixels: it must be '
-                         'in the optical frame of the camera (z forward), and CameraInfo that of '
-                         'its pixels')
+        raise ValueError('the points of the cloud are not on the rays of their pixels: the cloud '
+                         'must be in the optical frame of the camera (z forward), and CameraInfo '
+                         'must match its pixels')
 
 
 def _field(msg: PointCloud2, name: str) -> np.ndarray:
     """Return a field (height, width) of an organised cloud, a view of its data."""
     if min(msg.height, msg.width) < 2:
         raise ValueError(f'the point cloud is not organised: it is {msg.width} x {msg.height}; '
-                         'the driver may have a setting for it')
+                         'the driver may have a setting for this')
     if msg.row_step < msg.width * msg.point_step or len(msg.data) != msg.height * msg.row_step:
         raise ValueError(f'the data of the point cloud has {len(msg.data)} bytes, but it is '
                          f'{msg.width} x {msg.height} points of {msg.point_step} bytes')

@@ -30,7 +30,7 @@ _TRANSPORTS = ('compressed', 'compressedDepth')
 _RECTIFIED_NAMES = {'rect', 'rectified'}
 _ASPECT_TOLERANCE = 0.02
 _SAME_SURFACE = 0.02
-# The colour of depth without an image.
+# The colour of pixels if there is depth but no image.
 _GREY = 128
 _MOST_ENLARGED = 32  # chosen: twice that of 256 x 192 beside the 12 million pixels of a phone
 
@@ -112,7 +112,7 @@ class FrameConverter:
 
 
 def is_rectified_name(topic: str) -> bool:
-    """Return whether a topic name ends in a word for rectified: image_rect, rect/image, ..."""
+    """Return whether a topic is rectified by the end of its name: image_rect, rect/image, ..."""
     parts = [part for part in topic.split('/') if part not in _TRANSPORTS]
     words = [word for part in parts[-2:] for word in part.split('_')]
     return not _RECTIFIED_NAMES.isdisjoint(words)
@@ -121,7 +121,7 @@ def is_rectified_name(topic: str) -> bool:
 def _rectification_from_msg(info: CameraInfo, reduction: Reduction) -> Rectification:
     model = _model_of(info)
     no_distortion = np.zeros(4 if model == 'equidistant' else 5)
-    # Checked, and without the numbers of K and P that a pinhole camera has not.
+    # Checked, and without the elements of K and P that the pinhole model does not use.
     camera, rectified = (reduction.camera(intrinsics_from_msg(info, is_rectified)).matrix
                          for is_rectified in (False, True))
     return make_rectification(model, np.asarray(info.d) if np.any(info.d) else no_distortion,
@@ -141,7 +141,7 @@ def _decode(frame: Frame, most_pixels: int) -> np.ndarray:
 
 
 def _with_size(info: CameraInfo, rgb: np.ndarray) -> CameraInfo:
-    """Return a CameraInfo without a size with that of the image."""
+    """Return a CameraInfo; if it has no size, with the size of the image."""
     height, width = rgb.shape[:2]
     sized = copy(info)
     sized.width, sized.height = width * max(info.binning_x, 1), height * max(info.binning_y, 1)
@@ -152,16 +152,16 @@ def _fit_depth(depth_m: np.ndarray, intrinsics: CameraIntrinsics) -> np.ndarray:
     """
     Resize registered depth to the image without depths between foreground and background.
 
-    The field of view, and so the aspect, is equal. Between pixels of one surface 1/depth is
-    interpolated, in which planes are linear. Where the result differs from the depth of the
+    Both have the same field of view, and so the same aspect ratio. Within a surface, 1/depth is
+    interpolated, because planes are linear in it. Where the result differs from the depth of the
     nearest pixel by more than 2 %, there is an edge, and the depth of the nearest pixel is used.
     """
     size, (height, width) = (intrinsics.width, intrinsics.height), depth_m.shape
     aspect = (width * intrinsics.height) / (height * intrinsics.width)
     if abs(aspect - 1) > _ASPECT_TOLERANCE:
-        raise ValueError(f'the depth image is {width} x {height}, which is not the shape of the '
-                         f'{intrinsics.width} x {intrinsics.height} image: it must be registered '
-                         'to it')
+        raise ValueError(f'the depth image is {width} x {height}, which does not have the aspect '
+                         f'ratio of the {intrinsics.width} x {intrinsics.height} image: it must '
+                         'be registered to it')
     if size == (width, height):
         return depth_m
     if size[0] > _MOST_ENLARGED * width:

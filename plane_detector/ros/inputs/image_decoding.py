@@ -19,8 +19,8 @@ from sensor_msgs.msg import CompressedImage, Image
 _CHANNELS = {'rgb8': 3, 'bgr8': 3, 'rgba8': 4, 'bgra8': 4, 'mono8': 1, '8uc1': 1,
              'uyvy': 2, 'yuv422': 2, 'yuyv': 2, 'yuv422_yuy2': 2,
              '8uc3': 3, 'bayer_rggb8': 1, 'bayer_bggr8': 1, 'bayer_gbrg8': 1, 'bayer_grbg8': 1}
-# OpenCV names a Bayer pattern after the second row and column; ROS after the first pixels.
-# 8UC3 does not define its channels; as in OpenCV, where the name comes from, they are BGR.
+# OpenCV names a Bayer pattern after the second row and column; ROS after the first pixels. 8UC3
+# does not define its channels; they are BGR as in OpenCV, from which the name comes.
 _TO_RGB = {'bgr8': cv2.COLOR_BGR2RGB, '8uc3': cv2.COLOR_BGR2RGB,
            'rgba8': cv2.COLOR_RGBA2RGB, 'bgra8': cv2.COLOR_BGRA2RGB,
            'mono8': cv2.COLOR_GRAY2RGB, '8uc1': cv2.COLOR_GRAY2RGB,
@@ -31,7 +31,7 @@ _TO_RGB = {'bgr8': cv2.COLOR_BGR2RGB, '8uc3': cv2.COLOR_BGR2RGB,
 # The luma of all pixels, followed by the colour of each 2 x 2 block, half as many rows.
 _HALF_COLOUR = {'nv12': cv2.COLOR_YUV2RGB_NV12, 'nv21': cv2.COLOR_YUV2RGB_NV21}
 DEPTH_ENCODINGS = ('16uc1', '32fc1', 'r_float32')
-"""Encodings that only depth has, in lower case."""
+"""Encodings used only for depth, in lower case."""
 # derived: PNG is ISO/IEC 15948, JPEG is ITU-T T.81, annex B.
 _PNG_BEGIN = b'\x89PNG\r\n\x1a\n\0\0\0\x0dIHDR'
 _PNG_SIGNATURE_BYTES = 8
@@ -42,7 +42,9 @@ _START_OF_SCAN = b'\xff\xda'
 _FRAME_MARKERS = set(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 _NO_SEGMENT = {0x01, *range(0xD0, 0xD9)}
 MOST_SCANS = 100
-"""Of a JPEG; encoders write 10 to 20, and each requires a pass over the whole image."""
+"""
+Largest number of scans of a JPEG; encoders write 10 to 20, and each is a pass over the image.
+"""
 
 
 def rgb_from_msg(msg: Image) -> np.ndarray:
@@ -53,8 +55,8 @@ def rgb_from_msg(msg: Image) -> np.ndarray:
     ----------
     msg : sensor_msgs.msg.Image
         Encoding rgb8, bgr8, rgba8, bgra8, mono8, bayer_{rggb,bggr,gbrg,grbg}8 or one of these with
-        16 bits, of which the upper 8 are taken; yuv422 (also called uyvy), yuv422_yuy2 (also
-        called yuyv), nv12, nv21, 8UC3 (as bgr8) or 8UC1 (as mono8).
+        16 bits, of which the upper 8 are used; yuv422 (also called uyvy), yuv422_yuy2 (also called
+        yuyv), nv12, nv21, 8UC3 (as bgr8) or 8UC1 (as mono8).
 
     Returns
     -------
@@ -73,8 +75,8 @@ def rgb_from_msg(msg: Image) -> np.ndarray:
         rows = pixels_of(msg, 'u1', 1, msg.height * 3 // 2)
         return cv2.cvtColor(rows, _HALF_COLOUR[encoding])
     if encoding in DEPTH_ENCODINGS:
-        raise ValueError(f'the image is depth ({msg.encoding}): remap its topic to depth, with '
-                         'depth.source topic, and give the colour image as image, or set '
+        raise ValueError(f'the image is depth ({msg.encoding}): remap its topic to depth, set '
+                         'depth.source to topic, and remap the colour image to image, or set '
                          'depth.colour to none')
     as_8_bit = encoding.removesuffix('16') + '8' if encoding.endswith('16') else encoding
     if as_8_bit not in _CHANNELS:
@@ -175,7 +177,7 @@ def _check_png_chunks(data: bytes) -> None:
         at += _PNG_CHUNK_BYTES + length
         if at <= len(data) and data[at - length - 8:at - length - 4] == b'IEND':
             return
-    raise ValueError('it is a PNG file that breaks off')
+    raise ValueError('it is a truncated PNG file')
 
 
 def _jpeg_size(data: bytes) -> tuple[int, int]:
@@ -196,7 +198,7 @@ def _jpeg_size(data: bytes) -> tuple[int, int]:
 
 
 def decompressed(data: bytes, size: tuple[int, int], flags: int) -> np.ndarray:
-    """Return the pixels of a JPEG or PNG file by OpenCV; ValueError if it is damaged."""
+    """Return the pixels of a JPEG or PNG file, decoded by OpenCV; ValueError if it is damaged."""
     try:
         pixels = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
     except cv2.error as error:
@@ -209,7 +211,7 @@ def decompressed(data: bytes, size: tuple[int, int], flags: int) -> np.ndarray:
 
 
 def wrong_size(size: tuple[int, int], expected: tuple[int, int]) -> str:
-    """Return the error message for an image whose size differs from that of its CameraInfo."""
+    """Return the error message for an image whose size is not that of its CameraInfo."""
     return (f'the image is {size[0]} x {size[1]}, its CameraInfo is for {expected[0]} x '
             f'{expected[1]} (after region of interest and binning)')
 
@@ -237,7 +239,7 @@ def pixels_of(msg: Image, channel_type: str, channels: int, rows: int | None = N
 
 
 def _check_sides(msg: Image, encoding: str) -> None:
-    """Check that the sides fit colours that neighbouring pixels share."""
+    """Check that the sides suit an encoding in which neighbouring pixels share colours."""
     if encoding in _HALF_COLOUR and (msg.width % 2 or msg.height % 2):
         raise ValueError(f'the sides of a {msg.encoding} image must be even, not {msg.width} x '
                          f'{msg.height}')

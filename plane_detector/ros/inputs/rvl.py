@@ -10,7 +10,7 @@ from plane_detector._runtime.compilation import kernel
 
 _WORD_NIBBLES = 8
 _CONTINUES = 8  # bit of a nibble; the other three are of the number
-# derived: no number of an image has more than 31 bits, in groups of three.
+# derived: no number in an image has more than 31 bits, in groups of three.
 _MOST_SHIFT = 30
 _ENDS, _TOO_LARGE, _MISFIT, _RANGE = 1, 2, 3, 4
 
@@ -19,9 +19,10 @@ def decode_rvl(data: bytes, count: int) -> np.ndarray:
     """
     Return the pixels of an image in the order of its rows.
 
-    Runs of zeros and of other values take turns. Their lengths, and the difference of each value
-    to the one before, are numbers of a variable number of nibbles, the least three bits first;
-    negative differences are odd. Nibbles fill words of 32 bits, little endian, from the upper end.
+    Runs of zeros and of other values alternate. Their lengths, and the difference of each value
+    from the previous one, are numbers with a variable number of nibbles, the lowest three bits
+    first; negative differences are odd. Nibbles fill little-endian words of 32 bits from the upper
+    end.
 
     Parameters
     ----------
@@ -37,7 +38,7 @@ def decode_rvl(data: bytes, count: int) -> np.ndarray:
     Raises
     ------
     ValueError
-        The data is not of that many pixels.
+        The data does not have that number of pixels.
 
     References
     ----------
@@ -53,19 +54,19 @@ def decode_rvl(data: bytes, count: int) -> np.ndarray:
     pixels = np.zeros(count, np.uint16)
     fault = _decode(words, pixels)
     if fault == _ENDS:
-        raise ValueError('the RVL data breaks off')
+        raise ValueError('the RVL data is truncated')
     if fault == _TOO_LARGE:
-        raise ValueError('the RVL data has a number that is too large')
+        raise ValueError('the RVL data contains a number that is too large')
     if fault == _MISFIT:
-        raise ValueError(f'the RVL data is not that of {count} pixels')
+        raise ValueError(f'the RVL data does not have {count} pixels')
     if fault == _RANGE:
-        raise ValueError('the RVL data has a depth that is not in 1 to 65535')
+        raise ValueError('the RVL data contains a depth outside 1 to 65535')
     return pixels
 
 
 @kernel("UniTuple(int64, 2)(Array(uint32, 1, 'C', readonly=True), int64)", subject='rvl')
 def _number(words, at):
-    """Return the number that begins at a nibble, or minus what is wrong, and the nibble after."""
+    """Return the number that starts at a nibble, or minus an error code, and the next nibble."""
     number, shift, nibble = 0, 0, _CONTINUES
     while nibble >= _CONTINUES:
         if at == len(words) * _WORD_NIBBLES:
@@ -81,7 +82,7 @@ def _number(words, at):
 
 @kernel("int64(Array(uint32, 1, 'C', readonly=True), uint16[::1])", subject='rvl')
 def _decode(words, pixels):
-    """Fill the pixels; return what is wrong with the data, or 0."""
+    """Fill the pixels; return an error code, or 0."""
     at, done, depth = 0, 0, 0
     while done < len(pixels):
         zeros, at = _number(words, at)

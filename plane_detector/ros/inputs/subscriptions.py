@@ -37,17 +37,18 @@ from plane_detector.ros.qos import SILENT_SUBSCRIPTION, overriding_options
 _RELIABILITY = {'auto': ReliabilityPolicy.BEST_AVAILABLE,
                 'reliable': ReliabilityPolicy.RELIABLE,
                 'best_effort': ReliabilityPolicy.BEST_EFFORT}
-# The policies that follow the publishers, and the stronger and the weaker value of each.
+# The policies that adapt to the publishers, and the stronger and the weaker value of each.
 _BEST = {'reliability': ReliabilityPolicy.BEST_AVAILABLE,
          'durability': DurabilityPolicy.BEST_AVAILABLE}
 _STRENGTHS = {'reliability': (ReliabilityPolicy.RELIABLE, ReliabilityPolicy.BEST_EFFORT),
               'durability': (DurabilityPolicy.TRANSIENT_LOCAL, DurabilityPolicy.VOLATILE)}
-# chosen: a camera's jitter is no change of the difference between its stamps.
+# chosen: jitter of a camera does not count as a change of the difference between its stamps.
 _OFFSET_CHANGE = 0.3
-# chosen: three jumps in this time are no loop of a bag; then they are logged no more often.
+# chosen: three jumps within this time are not a looping bag; they are logged no more often than
+# this.
 _MOST_JUMPS, _JUMPS_WITHIN_S = 3, 5.0
 _MOST_FRAME_IDS, _SHOWN = 16, 80
-# chosen: a share of some 75 images in a window varies by a few percent.
+# chosen: with some 75 images in a window, a share varies by a few percent.
 _LOSS_CHANGE = 0.15
 
 
@@ -81,7 +82,7 @@ class InputSubscription:
         self._node.destroy_subscription(self._current)
 
     def follow(self) -> None:
-        """Adapt to the publishers of now; to be called from time to time."""
+        """Adapt to the current publishers; to be called from time to time."""
         if self._next is not None and self._fits(self._next):
             return
         self._destroy_next()
@@ -95,7 +96,7 @@ class InputSubscription:
             qos_overriding_options=overriding_options(self._settle))
 
     def _settle(self, profile: QoSProfile) -> SetParametersResult:
-        """Replace what follows the publishers, before the subscription is created."""
+        """Replace the policies that adapt to publishers before the subscription is created."""
         self._followed = tuple(name for name, best in _BEST.items()
                                if getattr(profile, name) == best)
         for name in self._followed:
@@ -135,9 +136,10 @@ class Subscriptions:
     """
     Subscribes to the topics that the settings require; ``on_frame`` is called with each frame.
 
-    ``output`` is that of the network: relative disparity can use measured depth. ``on_dropped`` is
-    called with the number of images that did not become a frame. Both are called in the thread of
-    the executor. ``transforms`` give the mounting of an IMU that has a frame of its own.
+    ``output`` is the output of the network: relative disparity can use measured depth.
+    ``on_dropped`` is called with the number of images that did not become a frame. Both callbacks
+    run in the thread of the executor. ``transforms`` provide the mounting of an IMU that has its
+    own frame.
 
     Attributes
     ----------
@@ -159,7 +161,7 @@ class Subscriptions:
         depth = depth_use(config, output)
         self._synchronizer = FrameSynchronizer(depth, settings.stamp_slop,
                                                config.scale.imu_to_camera)
-        # The messages that are a frame each, and their role in remapping.
+        # The messages each of which starts a frame, and their role in remapping.
         self._anchor = anchor_role(config.depth)
         compressed = settings.image_transport == 'compressed'
         of_anchor = CompressedImage if compressed else Image
@@ -194,7 +196,7 @@ class Subscriptions:
             raise
 
     def apply(self, config: Config, settings: NodeConfig) -> None:
-        """Apply changed settings, except those that are read at configure."""
+        """Apply changed settings, except those that are fixed while the node is configured."""
         depth = depth_use(config, self._output)
         self._synchronizer.apply(depth, settings.stamp_slop)
         if config.scale.imu_to_camera != self._config.scale.imu_to_camera:
@@ -218,7 +220,7 @@ class Subscriptions:
             subscription.follow()
 
     def explain_loss(self) -> str:
-        """Return that images are missing beside CameraInfo, and the remedy; empty if not."""
+        """Return that there are fewer images than CameraInfo, and the remedy; empty if not."""
         arrivals = self.count.arrivals()
         if not arrivals.are_few:
             return ''
@@ -226,7 +228,7 @@ class Subscriptions:
         if abs(lost_share - self._lost_share) > _LOSS_CHANGE:
             self._lost_share = lost_share
         topic, of_camera = self._names[self._anchor], self._names['camera_info']
-        return (f'{self._lost_share:.0%} of the images on {topic} are missing: {of_camera} brings '
+        return (f'{self._lost_share:.0%} of the images on {topic} are missing: {of_camera} has '
                 f'more messages. Large {MESSAGES_LOST}, this machine is too busy to receive them, '
                 'or the images are throttled')
 
@@ -234,7 +236,7 @@ class Subscriptions:
         """
         Return by how much the stamps of image and required depth differ, and the remedy.
 
-        Empty until it has lasted; to be called while images find no partner.
+        Empty until this has lasted a while; to be called while images find no partner.
         """
         offset_s, now_s = self._synchronizer.take_unpaired_s(), time.monotonic()
         if offset_s is None:
@@ -275,7 +277,7 @@ class Subscriptions:
             self._note_jump()
 
     def _note_jump(self) -> None:
-        """Forget the transforms of before, and log it; often: two publishers, and seldom."""
+        """Forget earlier transforms and log the jump, rarely if it is frequent."""
         if self._transforms is not None:
             self._transforms.forget()
         now_s = time.monotonic()
@@ -310,7 +312,7 @@ class Subscriptions:
             self._synchronizer.add_imu(msg)
 
     def _mount(self, imu_frame: str) -> bool:
-        """Return whether the mounting of the IMU is settled: set, without a turn, or from TF."""
+        """Return whether the mounting of the IMU is known: set, no rotation needed, or from TF."""
         if not is_identity(self._config.scale.imu_to_camera):
             return True
         camera = self._camera_header
@@ -330,8 +332,8 @@ class Subscriptions:
             if now_s < self._mounted_by_s:
                 return False
         log.warning(f'the IMU is in {imu}, the image in {image}, TF has no transform between them '
-                    'and scale.imu_to_camera is no turn: if their axes differ, gravity is wrong; '
-                    'publish the transform or set scale.imu_to_camera')
+                    'and scale.imu_to_camera is the identity: if their axes differ, gravity is '
+                    'wrong; publish the transform or set scale.imu_to_camera')
         return True
 
     def _hand_over(self, frames: list[Frame]) -> None:
@@ -344,7 +346,7 @@ class Subscriptions:
             self._on_frame(frame)
 
     def _compare_frame_ids(self, frame: Frame) -> None:
-        """Warn once if image, depth and CameraInfo are not of one camera by their frame_ids."""
+        """Warn once if the frame_ids of image, depth and CameraInfo are of different cameras."""
         ids = (frame.image.header.frame_id, frame.camera_info.header.frame_id,
                (frame.depth or frame.image).header.frame_id)
         if ids in self._frame_ids or len(self._frame_ids) >= _MOST_FRAME_IDS:
@@ -356,11 +358,11 @@ class Subscriptions:
                               for role, frame_id in roles.items())
             self._node.get_logger().warning(
                 f'the frame_ids differ: {named}. Depth must be registered to the image, and '
-                'CameraInfo must be that of the image: see whether the driver has such topics')
+                'CameraInfo must belong to the image: check whether the driver has such topics')
 
 
 def _rounded_up(seconds: float) -> str:
-    """Return a time with one digit, a little above the given one: 0.06 s -> 0.08."""
+    """Return a time with one digit, slightly above the given one: 0.06 s -> 0.08."""
     most_s = 1.2 * seconds
     step_s = 10.0 ** math.floor(math.log10(most_s))
     return f'{math.ceil(most_s / step_s) * step_s:.6g}'
@@ -372,7 +374,7 @@ def depth_role(depth: DepthConfig) -> str:
 
 
 def anchor_role(depth: DepthConfig) -> str:
-    """Return the role of the messages of which each is a frame: images, or depth without any."""
+    """Return the role of the messages that start a frame: images, or depth without images."""
     return 'image' if depth.colour == 'image' else depth_role(depth)
 
 

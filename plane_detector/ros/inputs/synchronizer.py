@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Assembly of frames from the messages that belong together.
+Assembly of frames from messages that belong together.
 
 The same code is used for live topics and for bags: the result depends on the stamps and on the
 order within each topic, not on how the topics interleave.
@@ -41,14 +41,14 @@ class Frame:
     depth: Image | CompressedImage | PointCloud2 | None  # measured, beside the image
     gravity_camera: np.ndarray | None  # (3,) float64, direction in the optical frame, by an IMU
     epoch: int  # increases if time jumps back: frames of different epochs share no history
-    imu_problem: str = ''  # what is wrong with the readings of the IMU; empty if nothing is
+    imu_problem: str = ''  # problem with the readings of the IMU; empty if there is none
 
 
 def depth_use(config: Config, output: str) -> str:
     """
     Return whether measured depth beside an image is ``required``, ``optional`` or ``unused``.
 
-    Of the outputs of networks only those of unknown scale use the unit of measured depth.
+    Only network outputs of unknown scale use the unit of measured depth.
     """
     if config.depth.is_measured:
         return 'required' if config.depth.colour == 'image' else 'unused'
@@ -64,8 +64,8 @@ class FrameSynchronizer:
     Parameters
     ----------
     depth : str
-        ``unused``; ``required``: an image without depth is dropped; ``optional``: depth is used
-        if available, and waited for until the next image at most.
+        ``unused``; ``required``: an image without depth is dropped; ``optional``: depth is used if
+        available, and awaited until the next image at most.
     stamp_slop_s : float
         A depth image with exactly the stamp of the image is used. If a later one shows that there
         is none, the nearest within this time is used.
@@ -89,7 +89,7 @@ class FrameSynchronizer:
         return self._images.jumps
 
     def apply(self, depth: str, stamp_slop_s: float) -> None:
-        """Change the parameters of this object; messages that wait are matched by the new ones."""
+        """Change the parameters of this object; waiting messages are matched by the new ones."""
         self._depth_use, self._stamp_slop_s = depth, stamp_slop_s
 
     def mount_imu(self, imu_to_camera: Sequence[float]) -> None:
@@ -103,7 +103,7 @@ class FrameSynchronizer:
 
     def take_unpaired_s(self) -> float | None:
         """
-        Return how much later than the last image dropped for it the nearest depth image is.
+        Return how much later the nearest depth image is than the last image dropped without depth.
 
         None if no image was dropped for lack of a depth image since the last call, or if there is
         no depth image at all.
@@ -126,7 +126,7 @@ class FrameSynchronizer:
 
     def add_camera_info(self, msg: CameraInfo) -> list[Frame]:
         """Add a calibration; return the frames that are complete now, oldest first."""
-        if self._infos.latest is None:  # of the images before, only one with its stamp is usable
+        if self._infos.latest is None:  # of the earlier images, only one with its stamp is usable
             self._dropped += self._images.keep({ns_of(msg)})
         self._infos.add(msg)
         return self._complete()
@@ -137,7 +137,7 @@ class FrameSynchronizer:
         return self._complete()
 
     def finish(self) -> list[Frame]:
-        """Return the frames still waiting for a better partner, when no more messages come."""
+        """Return the frames still waiting for a better partner, at the end of the messages."""
         return self._complete(at_end=True)
 
     def add_imu(self, msg: Imu) -> None:
@@ -160,7 +160,7 @@ class FrameSynchronizer:
                 self._dropped += 1
                 self._unpaired_ns = self._depths.offset_of_nearest(stamp_ns)
                 continue
-            # Depth from before the last frame but one goes: images may change places.
+            # Depth older than the last frame but one is dropped: images may arrive out of order.
             oldest_ns = min(self._last_ns, stamp_ns) - round(self._stamp_slop_s * 1e9)
             for other_ns in [other_ns for other_ns in depths if other_ns < oldest_ns]:
                 del depths[other_ns]
@@ -197,13 +197,13 @@ class _Messages:
     """The latest messages of one topic by stamp; emptied when time jumps back."""
 
     def __init__(self) -> None:
-        self.by_stamp: dict[int, Any] = {}  # in the order of arrival; of one stamp the last
+        self.by_stamp: dict[int, Any] = {}  # in the order of arrival; the last one for each stamp
         self.latest: Any = None
         self.latest_ns = 0
         self.jumps = 0
 
     def add(self, msg: Any, most: int = _CACHED) -> int:
-        """Add a message; return how many of this epoch go, of the same stamp or beyond a count."""
+        """Add a message; return how many of this epoch are dropped: same stamp, or too many."""
         stamp_ns = ns_of(msg)
         if self.latest is not None and stamp_ns < self.latest_ns - JUMP_NS:
             self.jumps += 1
@@ -217,14 +217,14 @@ class _Messages:
         return before - len(self.by_stamp)
 
     def keep(self, stamps_ns: Collection[int]) -> int:
-        """Keep only the messages with some stamps; return how many go."""
+        """Keep only the messages with these stamps; return how many are dropped."""
         gone = [stamp_ns for stamp_ns in self.by_stamp if stamp_ns not in stamps_ns]
         for stamp_ns in gone:
             del self.by_stamp[stamp_ns]
         return len(gone)
 
     def forget_after(self, stamp_ns: int) -> None:
-        """Remove later messages, which are from before a jump back in time."""
+        """Remove later messages, which were sent before a jump back in time."""
         self.keep([other_ns for other_ns in self.by_stamp if other_ns <= stamp_ns])
         self.latest_ns = min(self.latest_ns, stamp_ns) if self.by_stamp else 0
 
@@ -239,7 +239,7 @@ class _Messages:
 
 def stamp_text(stamped: Any) -> str:
     """
-    Return the stamp of a message, or of what else has a header, in seconds and exact.
+    Return the exact stamp of a message, or of anything else with a header, in seconds.
 
     Examples
     --------
@@ -255,5 +255,5 @@ def stamp_text(stamped: Any) -> str:
 
 
 def ns_of(stamped: Any) -> int:
-    """Return the stamp of a message, or of what else has a header, in nanoseconds."""
+    """Return the stamp of a message, or of anything else with a header, in nanoseconds."""
     return stamped.header.stamp.sec * 1_000_000_000 + stamped.header.stamp.nanosec

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Why messages do not arrive: silent topics, and images that are missing beside CameraInfo."""
+"""Why messages do not arrive: silent topics, and fewer images than CameraInfo."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ _RAW_TYPE, _COMPRESSED_TYPE = 'sensor_msgs/msg/Image', 'sensor_msgs/msg/Compress
 _TRANSPORTS = {'image': ('image_transport', 'compressed'),
                'depth': ('depth.transport', 'compressedDepth')}
 MESSAGES_LOST = (
-    'messages of Fast DDS get lost between processes unless the camera, too, was started with '
-    'export FASTRTPS_DEFAULT_PROFILES_FILE=$(ros2 pkg prefix --share plane_detector)/config/'
-    'fastdds_large_messages.xml')
+    'messages of Fast DDS are lost between processes unless the camera, too, was started after '
+    'export FASTRTPS_DEFAULT_PROFILES_FILE=$(ros2 pkg prefix --share '
+    'plane_detector)/config/fastdds_large_messages.xml')
 
 
 @dataclass
@@ -79,7 +79,7 @@ class TopicWatch:
         return next((topic.problem for topic in unheard_first if topic.problem), '')
 
     def obstacle(self) -> str:
-        """Return the last problem because of which no frame can come; empty if there is none."""
+        """Return the last problem that prevents frames; empty if there is none."""
         return next((topic.problem for topic in self._topics.values()
                      if topic.is_needed and topic.problem), '')
 
@@ -91,7 +91,7 @@ class TopicWatch:
         if topic.may_stop or now_s - topic.heard_s[-1] < patience_s:
             return ''
         stopped = f'{topic.name} has stopped: no message for over {patience_s:.0f} s'
-        if topic.problem.startswith(stopped):  # logged once, even if its publisher goes later
+        if topic.problem.startswith(stopped):  # logged once, even if its publisher leaves later
             return topic.problem
         may_be_lost = ReliabilityPolicy.BEST_EFFORT in self._reliabilities(topic)
         return stopped + (f'; if the camera still sends: large best-effort {MESSAGES_LOST}'
@@ -111,8 +111,8 @@ class TopicWatch:
                     'reliable, the publisher is best effort: set it to auto or best_effort')
         publishers = 'a publisher' if len(offered) == 1 else f'{len(offered)} publishers'
         return (f'nothing arrives on {topic.name}, though it has {publishers}. Either nothing is '
-                'sent (ros2 topic hz shows it), or the QoS does not match, or messages get lost: '
-                f'large {MESSAGES_LOST}')
+                'sent (check with ros2 topic hz), or the QoS does not match, or messages are '
+                f'lost: large {MESSAGES_LOST}')
 
     def _reliabilities(self, topic: _Topic) -> list[ReliabilityPolicy]:
         """Return the reliabilities offered by publishers of the right type."""
@@ -162,7 +162,7 @@ def explain_silence(role: str, topic: str, type_name: str, offered: Sequence[str
 
 
 def _fits(role: str, name: str, kind: str) -> bool:
-    """Return whether a topic may serve by its name: depth has depth in its name, nothing else."""
+    """Return whether the name of a topic fits: depth, and only depth, has depth in its name."""
     if role not in _TRANSPORTS:
         return True
     is_depth = 'depth' in name.lower()
@@ -175,13 +175,13 @@ def _without_transport(name: str) -> str:
 
 
 def _nearest_first(topic: str, names: Collection[str]) -> list[str]:
-    """Return names in the order of their likeness to that of the topic."""
+    """Return names in the order of their similarity to that of the topic."""
     return sorted(names, key=lambda name: (
         -difflib.SequenceMatcher(None, topic, name).ratio(), name))
 
 
 def _transport_hint(role: str, topic: str, offered: str) -> str:
-    """Return the setting that accepts the type that a topic has."""
+    """Return the setting that accepts the type of a topic."""
     if role not in _TRANSPORTS or offered not in (_RAW_TYPE, _COMPRESSED_TYPE):
         return ''
     parameter, compressed = _TRANSPORTS[role]
@@ -203,7 +203,7 @@ def _other_transport(role: str, topic: str, type_name: str, published: Mapping[s
 
 
 def _usual_interval(times: Iterable[float], before_second: float) -> float:
-    """Return the median between two times, or what is assumed before the second."""
+    """Return the median interval, or the assumed one before the second message."""
     return statistics.median([after - before for before, after in pairwise(times)]
                              or [before_second])
 
@@ -213,7 +213,7 @@ _WINDOW_NS = 5_000_000_000
 _MOST_STAMPS = 1000
 _FEWEST_INFOS = 20
 WARNED_SHARE = 0.2
-"""From this share of images on that are missing beside CameraInfo, the node warns."""
+"""The node warns if at least this share of the images is missing, compared with CameraInfo."""
 
 
 class Arrivals(NamedTuple):
@@ -224,13 +224,13 @@ class Arrivals(NamedTuple):
 
     @property
     def are_few(self) -> bool:
-        """Whether so many images are missing that a warning is due."""
+        """Whether enough images are missing for a warning."""
         return (self.camera_infos >= _FEWEST_INFOS
                 and self.images <= (1 - WARNED_SHARE) * self.camera_infos)
 
 
 class ArrivalCount:
-    """Counts images and CameraInfo, which is small and arrives where its image is lost."""
+    """Counts images and CameraInfo, which is small and arrives even if its image is lost."""
 
     def __init__(self) -> None:
         self._images: deque[int] = deque(maxlen=_MOST_STAMPS)
@@ -249,7 +249,7 @@ class ArrivalCount:
         return _usual_interval(sorted(set(self._images)), float('inf')) * 1e-9
 
     def arrivals(self) -> Arrivals:
-        """Return the numbers for the last seconds before the last image."""
+        """Return the counts for the last seconds before the last image."""
         if not self._images:
             return Arrivals(0, 0)
         last_ns = self._images[-1]

@@ -21,9 +21,9 @@ from plane_detector.config import NodeConfig
 from plane_detector.geometry.rigid_transform import RigidTransform, interpolate
 from plane_detector.ros.inputs.synchronizer import ns_of
 
-# chosen: beyond any place on earth in metres, so that float32 holds what is moved.
+# chosen: beyond any place on earth in metres, and small enough for points in float32.
 _LARGEST = 1e9
-# chosen: transforms come within a period or two of the camera; then the frame is skipped.
+# chosen: transforms arrive within one or two periods of the camera; later the frame is skipped.
 TIMEOUT_S = 0.2
 
 
@@ -41,7 +41,7 @@ class _Edge:
     transforms: list[RigidTransform] = field(default_factory=list)
 
     def parent_at(self, stamp_ns: int) -> str:
-        """Return the parent at a time, the one before until the next one is known."""
+        """Return the parent at a time: the previous one until the next one is known."""
         return self.parents[-1 if self.is_static else
                             max(bisect_right(self.stamps_ns, stamp_ns) - 1, 0)]
 
@@ -70,7 +70,7 @@ class TransformBuffer:
 
     def add(self, msg: Any, is_static: bool = False) -> None:
         """
-        Add a geometry_msgs/TransformStamped; static ones hold at any time.
+        Add a geometry_msgs/TransformStamped; static ones are valid at any time.
 
         Raises
         ------
@@ -119,7 +119,7 @@ class TransformBuffer:
         return _to_msg(target_frame, source_frame, time, transform)
 
     def _ancestors(self, frame: str, stamp_ns: int) -> list[str]:
-        """Return a frame, its parent at a time, and so on; it ends where a cycle begins anew."""
+        """Return a frame, its parent at a time, and so on, until a cycle would start again."""
         path = [frame]
         while (edge := self._edges.get(path[-1])) is not None and (
                 parent := edge.parent_at(stamp_ns)) not in path:
@@ -158,7 +158,7 @@ def _to_msg(target_frame: str, source_frame: str, time: Any,
 
 
 class Buffer(Protocol):
-    """The part of tf2_ros.Buffer that is used; one with a listener also has ``clear()``."""
+    """The part of tf2_ros.Buffer that is used; a buffer with a listener also has ``clear()``."""
 
     def lookup_transform(self, target_frame: str, source_frame: str, time: Time,
                          timeout: Duration) -> Any:
@@ -167,7 +167,7 @@ class Buffer(Protocol):
 
 @dataclass(frozen=True)
 class CameraPose:
-    """The place of the camera in the base frame, z up, whose origin is on the floor (REP-103)."""
+    """The pose of the camera in the base frame: z up, its origin on the floor (REP-103)."""
 
     to_base: RigidTransform
 
@@ -185,7 +185,7 @@ class CameraPose:
 
 class FrameTransforms:
     """
-    Looks up the frames named in the settings; does nothing if none is named.
+    Looks up the frames named in the settings; does nothing if there are none.
 
     A listener, if there is one, fills the buffer in another thread until its ``unregister`` is
     called.
@@ -196,16 +196,16 @@ class FrameTransforms:
         self._was_missing = False
 
     def destroy(self) -> None:
-        """Stop listening; what has been received stays."""
+        """Stop listening; transforms already received stay."""
         if self._listener is not None:
             self._listener.unregister()
             self._listener = None
 
     def forget(self) -> None:
         """
-        Forget the transforms received so far, but for static ones: time jumped back.
+        Forget the transforms received so far, except static ones: time jumped back.
 
-        tf2 ignores transforms that are older by more than ten seconds than the newest one.
+        tf2 ignores transforms that are more than ten seconds older than the newest one.
         """
         if self._listener is not None:
             self._buffer.clear()
@@ -224,9 +224,9 @@ class FrameTransforms:
         """
         Return a function that waits, `TIMEOUT_S` from now, for `camera_pose` and `to_target`.
 
-        It returns both, and why the second one is missing. Call it when the other work on the
-        frame is done: transforms arrive meanwhile. If those of the frame before were missing, they
-        are awaited here, so that no work is done in vain.
+        It returns both, and the reason if the second one is missing. Call it when the other work
+        on the frame is done: transforms arrive meanwhile. If the transforms of the previous frame
+        were missing, this method waits for them itself, so that no work is done in vain.
 
         Raises
         ------

@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Clouds: of the pixels of an image, of planes, of corners of their outlines, and of shapes.
+Clouds of the pixels of an image, of planes, of corners of their outlines, and of shapes.
 
-Those of the pixels are back-projected and packed in one pass over the depth.
+Clouds of pixels are back-projected and packed in one pass over the depth.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ def points_without_floor_to_msg(frame: DetectedFrame) -> PointCloud2 | None:
 
 
 def ground_to_msg(frame: DetectedFrame) -> PointCloud2 | None:
-    """Return the points of the ground; None while gravity or the unit is not known."""
+    """Return the points of the ground; None while gravity or the unit is unknown."""
     found = frame.detection.ground_result
     return _kept_to_msg(frame, XYZ_DTYPE, found.mask) if found.is_known else None
 
@@ -123,7 +123,8 @@ _GEOMETRY = f'Tuple(({_DEPTH}, float32[::1], float32[::1], float32[:, ::1]))'
 @kernel('UniTuple(UniTuple(float32, 3), 3)(float32[:, ::1], float32)')
 def _of_row(moved, y):
     """Return a, b, d of (a x + b) z + d, each coordinate of the points in a row of rays (x, y)."""
-    # In variables: read from the array for every pixel, they take as long as all the rest.
+    # In variables: read from the array for every pixel, they would take as long as everything
+    # else.
     return ((moved[0, 0], moved[0, 1] * y + moved[0, 2], moved[0, 3]),
             (moved[1, 0], moved[1, 1] * y + moved[1, 2], moved[1, 3]),
             (moved[2, 0], moved[2, 1] * y + moved[2, 2], moved[2, 3]))
@@ -199,7 +200,8 @@ def corners_to_msg(header: Header, outlines: Sequence[tuple[int, Polygon]]) -> P
 
 def shapes_to_msg(frame: DetectedFrame) -> PointCloud2 | None:
     """
-    Return one point per shape, an empty cloud if none is found; None if they are not searched for.
+    Return one point per shape, an empty cloud if there are none; None if they are not searched
+    for.
 
     x y z is the centre of a sphere, the middle of a cylinder's axis, the apex of a cone; the axis
     is a unit vector, of a cone from the apex into it, and zero for a sphere.

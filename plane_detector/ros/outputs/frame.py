@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the outputs of one image are made from; what several of them need is computed once."""
+"""The data from which the outputs of one image are made; shared data is computed only once."""
 
 from __future__ import annotations
 
@@ -29,20 +29,20 @@ class MapView:
 
     header: Header  # stamp of the image, target frame
     snapshot: MapSnapshot
-    # Labels that are gone since the last view, and the planes that they are part of now.
+    # Labels that have disappeared since the last view, and the planes that they are part of now.
     subsumed: Mapping[int, int] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, kw_only=True)
 class DetectedFrame(PlacedDetection):
-    """What was found in an image, with all else that messages are made from."""
+    """What was found in an image, with everything else that the messages need."""
 
     header: Header  # of the image message
     rgb: np.ndarray  # (H, W, 3) uint8, rectified
     settings: NodeConfig  # for this frame
     config: Config = field(default_factory=Config)  # of its detection
     to_base: RigidTransform | None = None  # into ``base_frame``; None if none is named
-    pose_problem: str = ''  # why the pose in ``target_frame`` is not known; empty if it is
+    pose_problem: str = ''  # why the pose in ``target_frame`` is unknown; empty if it is known
     distortion: Distortion = NO_DISTORTION  # that the image still has
     timer: StageTimer = field(default_factory=StageTimer)  # of the stages on this frame
 
@@ -73,7 +73,7 @@ class DetectedFrame(PlacedDetection):
 
     @cached_property
     def label_places(self) -> dict[int, LabelPlace]:
-        """The widest place of each label's region, for numbers and captions."""
+        """The widest place of the region of each label, for numbers and captions."""
         return label_places(self.labels)
 
     @cached_property

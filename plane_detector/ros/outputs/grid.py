@@ -16,17 +16,18 @@ from plane_detector.ros.outputs.frame import DetectedFrame
 from plane_detector.ros.outputs.messages import pose_msgs
 
 # Cosine of the angle between up and the z axis of a target frame with level cells. Chosen: halfway
-# between frames that stand (odom, base_link, also on ramps) and frames that lie (optical ones).
+# between upright frames (odom, base_link, also on ramps) and lying frames (optical ones).
 LEAST_UP = 0.7
 
 
 def grid_to_msg(frame: DetectedFrame) -> OccupancyGrid | None:
     """
-    Return the grid around the robot, or None while drops cannot be detected: free may end at one.
+    Return the grid around the robot; None while drops cannot be detected, where free cells may
+    end.
 
-    It is in ``target_frame`` if its z axis points up, along its axes and with the same places of
-    the cells in each image; else in ``base_frame``, or in the level frame under the camera, which
-    its origin states.
+    It is in ``target_frame`` if the z axis of that frame points up; the cells then are along its
+    axes, at the same places in each image. Otherwise it is in ``base_frame``, or in the level
+    frame below the camera, which its origin states.
     """
     found, ground = frame.detection, frame.detection.ground_result
     resolution_m = frame.config.grid.resolution

@@ -29,9 +29,10 @@ _ALPHA = 0.5
 
 def map_planes_to_msg(view: MapView) -> PointCloud2:
     """
-    Return one point per plane, then one for each that was merged since the last message.
+    Return one point per plane, then one per plane that was merged since the last message.
 
-    The latter have only a label and ``subsumed_by``, the label of the plane they are part of now.
+    The latter have only a label and ``subsumed_by``, the label of the plane that they are part of
+    now.
     """
     planes, surfaces = view.snapshot.planes, view.snapshot.surfaces
     table = np.zeros(len(planes) + len(view.subsumed), MAP_PLANE_DTYPE)
@@ -56,7 +57,7 @@ def map_boundaries_to_msg(view: MapView) -> PointCloud2:
 
 
 def map_markers_to_msg(view: MapView) -> MarkerArray:
-    """Return a filled surface for each plane; the first marker deletes those before."""
+    """Return a filled surface for each plane; the first marker deletes the earlier ones."""
     return MarkerArray(markers=[Marker(header=view.header, action=Marker.DELETEALL),
                                 *_surfaces(view)])
 
@@ -72,7 +73,7 @@ def _surfaces(view: MapView) -> Iterator[Marker]:
 
 
 def _triangles(plane: MapPlane) -> np.ndarray:
-    """Return the corners (N, 3) of two triangles for each run of seen cells."""
+    """Return the corners (N, 3) of two triangles for each run of observed cells."""
     first_row, last_row, first, last = runs(plane.cells).T
     corners = [(first, first_row), (last, first_row), (last, last_row),
                (first, first_row), (last, last_row), (first, last_row)]

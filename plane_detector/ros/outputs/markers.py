@@ -30,9 +30,9 @@ _SMALLEST_OUTLINE = 0.05
 _WHITE = ColorRGBA(r=1.0, g=1.0, b=1.0, a=1.0)
 _SURFACE_ALPHA = 0.6
 _CONE_SIDES = 24
-# chosen: shares of a cone's pixels below which single wrong ones may lie; its length is as robust
+# chosen: quantiles of a cone's pixels beyond which single wrong ones may lie, for a robust length
 _CONE_START = 0.02
-# Of captions, as a share of the distance from the camera: they look equal near and far.
+# Of captions, as a share of the distance from the camera: they look the same near and far.
 _TEXT_HEIGHT = 0.025
 # As a share of the distance from the camera.
 _ARROW_LENGTH = 0.15
@@ -48,9 +48,9 @@ Blank = dict[str, Any]  # all slots of a marker
 
 def markers_to_msg(frame: DetectedFrame) -> MarkerArray:
     """
-    Return the markers of all planes and shapes; a marker's id is the label of what it shows.
+    Return the markers of all planes and shapes; the id of a marker is the label of its object.
 
-    The first marker deletes all that were shown before, also those of an earlier node.
+    The first marker deletes all earlier ones, including those of an earlier node.
     """
     marker = Marker(header=frame.target_header)
     blank = {name: getattr(marker, name) for name in marker.__slots__}
@@ -72,7 +72,7 @@ def _plane_markers(frame: DetectedFrame, blank: Blank) -> Iterator[Marker]:
                                              strict=True)):
         colour = _colour(frame, label)
         if corners:  # none if the plane is too narrow
-            # One marker for a plane, as a marker costs as much as 25 corners.
+            # One marker per plane, because a marker costs as much as 25 corners.
             kind = Marker.LINE_STRIP if len(corners) == 1 else Marker.LINE_LIST
             yield _marker(blank, ns='outline', id=label, type=kind, color=colour,
                           scale=Vector3(x=widths_m[k]), points=_sides(corners))
@@ -121,7 +121,7 @@ def _shape_markers(frame: DetectedFrame, blank: Blank) -> Iterator[Marker]:
 
 
 def _cone_start_m(frame: DetectedFrame, index: int) -> float:
-    """Return where along its axis the visible part of a cone begins, from the apex."""
+    """Return the distance along the axis from the apex to the visible part of a cone."""
     found = frame.detection
     shape, ray = found.shapes[index], pixel_rays(frame.intrinsics)
     rows, columns = np.nonzero(found.shape_labels == index)
@@ -168,9 +168,9 @@ def _captions(frame: DetectedFrame) -> tuple[list[str], list[float], np.ndarray]
     """
     Return label, class and d of each plane as a text, its height, and its centre (K, 3).
 
-    It is where the plane is widest in the image, in the frame of the camera. The text faces the
-    viewer. It is lifted along the normal by as much as it would reach into the plane, seen from
-    where the camera is.
+    The centre is where the plane is widest in the image, in the frame of the camera. The text
+    faces the viewer. It is lifted along the normal so that, seen from the camera, it does not
+    intersect the plane.
     """
     planes, camera = frame.detection.planes, frame.intrinsics
     unit = ' m' if frame.detection.scale.is_metric else ''

@@ -41,7 +41,7 @@ def shape_labels(detection: Detection) -> np.ndarray:
 
 
 def assembled(kind: type, **slots: Any) -> Any:
-    """Return a message of all its slots; a constructor makes a default of each one before."""
+    """Return a message from all its slots; a constructor would first make a default for each."""
     msg = kind.__new__(kind)
     msg._check_fields = False
     for name, value in slots.items():
@@ -74,7 +74,7 @@ def point_msgs(points_m: np.ndarray) -> list[Point]:
     """Return points (N, 3) as messages."""
     points = []
     for x_m, y_m, z_m in np.asarray(points_m).tolist():
-        point = Point.__new__(Point)  # as `assembled`, for there are many
+        point = Point.__new__(Point)  # as in `assembled`, because there are many
         point._x, point._y, point._z, point._check_fields = x_m, y_m, z_m, False
         points.append(point)
     return points
@@ -127,7 +127,7 @@ def _image_msg(header: Header, encoding: str, pixels: np.ndarray) -> Image:
 
 def _sharing(msg: Message, data: np.ndarray) -> Message:
     """
-    Let a message have the bytes of an array as its data.
+    Use the bytes of an array as the data of a message.
 
     The setter would copy them into a new array.array, whose memory Python clears first: 6 MB a
     frame for a cloud. The middleware takes any buffer, and copies it when it is published.

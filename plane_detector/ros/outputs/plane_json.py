@@ -14,7 +14,7 @@ from plane_detector.planes.plane_table import PUBLISHED
 from plane_detector.ros.inputs.synchronizer import stamp_text
 from plane_detector.ros.outputs.messages import read_cloud
 
-# By name in JSON; first what names a plane.
+# By name in JSON; the identifying fields first.
 _PARTS = {part.json: part for part in sorted(
     PUBLISHED, key=lambda part: part.json not in ('label', 'class')) if part.json}
 
@@ -24,8 +24,8 @@ def planes_to_json(msg: PointCloud2, is_metric: bool = True) -> str:
     Return stamp, frame, units and planes as one line of JSON, the largest plane first.
 
     Names are those of the fields of ``~/planes``; the class is its name. The unit of lengths is
-    null while metres are not known. Of ``~/map/planes``, those that are part of another are left
-    out.
+    null while metres are unknown. Rows of ``~/map/planes`` that are part of another plane are
+    omitted.
     """
     return json.dumps({
         'stamp': stamp_text(msg), 'frame_id': msg.header.frame_id,
@@ -41,7 +41,7 @@ def _as_dicts(table: np.ndarray) -> list[dict[str, object]]:
     columns = {}
     for name, part in _PARTS.items():
         if not set(fields := part.names.split()) <= set(table.dtype.names):
-            continue  # of a bag that an earlier version wrote
+            continue  # from a bag that an earlier version wrote
         values = [_plain(field, table[field].tolist(), part.digits) for field in fields]
         columns[name] = list(zip(*values, strict=True)) if len(fields) > 1 else values[0]
     return [dict(zip(columns, row, strict=True))
@@ -49,7 +49,7 @@ def _as_dicts(table: np.ndarray) -> list[dict[str, object]]:
 
 
 def _plain(field: str, values: list, digits: int) -> list:
-    """Return the values of a field, rounded; of a class its name."""
+    """Return the values of a field, rounded; for a class its name."""
     if field == 'class':
         return [PlaneClass(value).readable for value in values]
     return [round(value, digits) for value in values]

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Table of outputs: name of the topic, type, and function that makes the message; their publishers.
+Table of outputs: name of the topic, type, and function that makes the message; publishers.
 
 The node publishes them and replay writes them to a bag; this table defines their content.
 """
@@ -101,16 +101,16 @@ MAP_OUTPUTS: dict[str, Output] = {
 
 
 def make_map_messages(view: MapView | None) -> dict[str, Any]:
-    """Return the messages of the map, which are latched: whether anybody listens or not."""
+    """Return the messages of the map: latched, so they are made even if nobody listens."""
     return {} if view is None else {name: output.make(view)
                                     for name, output in MAP_OUTPUTS.items()}
 
 
 class OutputPublishers:
     """
-    The publishers of a table of outputs; none stays if one of them cannot be made.
+    The publishers of a table of outputs; all or none are created.
 
-    ``latched`` messages are kept for subscribers that come later.
+    ``latched`` messages are kept for later subscribers.
     """
 
     def __init__(self, node: LifecycleNode, outputs: Mapping[str, Output], latched: bool = False):
@@ -128,7 +128,7 @@ class OutputPublishers:
 
     @property
     def are_activated(self) -> bool:
-        """Whether what is published reaches anybody: the node is active."""
+        """Whether published messages are sent: the node is active."""
         return all(publisher.is_activated for publisher in self._publishers.values())
 
     def wanted(self) -> list[str]:
@@ -142,7 +142,7 @@ class OutputPublishers:
             self._publishers[name].publish(msg)
 
     def misfits(self) -> dict[str, str]:
-        """Return why subscribers receive nothing, by topic and node: their QoS does not fit."""
+        """Return why subscribers receive nothing, by topic and node: incompatible QoS."""
         found: dict[str, str] = {}
         for publisher in self._publishers.values():
             topic = publisher.topic_name
@@ -158,7 +158,7 @@ class OutputPublishers:
         return found
 
     def _misfit(self, topic: str, reader: TopicEndpointInfo) -> str:
-        """Return why a subscriber cannot receive what this node publishes; empty if it can."""
+        """Return why a subscriber cannot receive the messages of this node; empty if it can."""
         own = self._node.get_name(), self._node.get_namespace()
         # From the graph: the profile of the publisher itself has placeholders for its defaults.
         for info in self._node.get_publishers_info_by_topic(topic):

@@ -3,8 +3,8 @@
 """
 Demo: sends photographs to the node over its topics, and draws the planes that it publishes.
 
-Without --images it uses a photograph that is included in scikit-image, a workshop: first with the
-depth of a stereo camera, as with a depth camera, then through a depth network.
+Without --images it uses a photograph of a workshop that is included in scikit-image: first with
+the depth of a stereo camera, as with a depth camera, then with a depth network.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ with quiet_interrupt(), explained_imports('numba', 'scipy'):
     from plane_detector.tools.show import table_lines
 
 _FASTDEPTH_IS = 'for floors and large walls of rooms'
-# The files of the last run, which the next one replaces.
+# The files of the previous run, which the next run replaces.
 _WRITTEN = '.written_by_the_demo'
 
 
@@ -53,16 +53,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _run(options: argparse.Namespace) -> int:
     lens = Lens(options.fx, options.fy, options.cx, options.cy, options.fov)
     if options.images and options.without_network:
-        raise ValueError('your own images have no measured depth: they need the network')
+        raise ValueError('your own images have no measured depth, so they need the network')
     if not options.images and (lens != Lens() or options.mounting != 'any'):
-        raise ValueError('a calibration, a field of view or a mounting is for your own images: '
-                         'name one or their folder by --images (make demo IMAGES=...)')
+        raise ValueError('a calibration, a field of view or a mounting applies only to your own '
+                         'images: name an image or a folder by --images (make demo IMAGES=...)')
     if options.model not in ('auto', *NETWORKS):
         if not Path(options.model).expanduser().is_file():
             raise FileNotFoundError(f'--model {options.model} is neither a file nor one of auto, '
                                     f'{", ".join(NETWORKS)}')
         if not options.model_output:
-            raise ValueError('--model-output must state the output of a network file')
+            raise ValueError('--model-output must state the kind of output of a network file')
     photographs = own_images(options.images, lens) if options.images else [workshop()]
     options.output.mkdir(parents=True, exist_ok=True)
     _remove_earlier(options.output)
@@ -76,7 +76,7 @@ def _run(options: argparse.Namespace) -> int:
         network = {**_network(options), 'directions.mounting': options.mounting}
         if not options.images:
             network['scale.gravity'] = WORKSHOP_GRAVITY
-            print('  The direction of gravity is given, as a robot has it from TF or an IMU.')
+            print('  The direction of gravity is given, as a robot gets it from TF or an IMU.')
         name = Path(network['depth.model']).stem
         _show(photographs, network, f'depth from {name}', f'_{name}', options.output)
     print(f'\nThe images are in {options.output}/')
@@ -84,7 +84,7 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _write_bag(folder: Path, photograph: Photograph) -> None:
-    """Write a bag for the tutorial, unless it is there or what writes bags is not installed."""
+    """Write a bag for the tutorial, unless it exists or the library for bags is not installed."""
     if folder.exists():
         print(f'\n{folder} is from an earlier run')
         return
@@ -96,11 +96,11 @@ def _write_bag(folder: Path, photograph: Photograph) -> None:
         print(f'\nNo bag for the tutorial: {explanation(error)}')
         return
     write_example_bag(folder, photograph)
-    print(f'\n{folder}: the same as a bag of a depth camera, for docs/tutorial.md')
+    print(f'\n{folder}: the same as a bag from a depth camera, for docs/tutorial.md')
 
 
 def _remove_earlier(folder: Path) -> None:
-    """Remove what an earlier run wrote into the folder, and nothing else."""
+    """Remove the files that an earlier run wrote into the folder, and nothing else."""
     listed = folder / _WRITTEN
     for name in listed.read_text('utf-8').splitlines() if listed.is_file() else ():
         (folder / Path(name).name).unlink(missing_ok=True)
@@ -123,7 +123,7 @@ def _network(options: argparse.Namespace) -> dict[str, Any]:
 
 def _show(photographs: Sequence[Photograph], parameters: Mapping[str, Any], depth_title: str,
           suffix: str, folder: Path) -> None:
-    """Send each photograph to a node with these parameters; draw and print what it finds."""
+    """Send each photograph to a node with these parameters; draw and print the results."""
     for is_guessed in sorted({one.intrinsics.is_guessed for one in photographs}):
         with Session({**parameters, 'lens_is_guessed': is_guessed}) as session:
             for photograph in photographs:
@@ -163,9 +163,9 @@ def _print(name: str, photograph: Photograph, received: Received) -> None:
           f'{"metres" if received.unit == "m" else "an unknown unit"}')
     print('\n'.join(f'  {line}' for line in table_lines(received.planes)))
     if not _legend(received.planes):
-        print(f'  (no floor, no walls: the direction of gravity is not known{received.note}; '
-              'MOUNTING=upright, or --mounting upright, excludes images taken on their side or '
-              'straight down)')
+        print(f'  (no floor, no walls: the direction of gravity is unknown{received.note}; '
+              'MOUNTING=upright, or --mounting upright, states that the camera was neither on '
+              'its side nor looking straight down)')
     print(f'  {received.frame_ms:.0f} ms from the image to the planes, over topics within one '
           'process')
 
@@ -178,7 +178,7 @@ def _figure(photograph: Photograph, depth_title: str, received: Received) -> np.
     return drawing.figure([
         (f'image{limits}', rgb),
         depth_panel(depth_title, received.depth_m, received.unit),
-        (f'RANSAC alone: {len(np.unique(alone[alone > 0]))} planes, a colour for each',
+        (f'RANSAC alone: {len(np.unique(alone[alone > 0]))} planes, one colour each',
          drawing.overlay(rgb, alone)),
         (f'{len(planes)} planes{f": {classes}" if classes else ""}',
          drawing.overlay(rgb, received.points['label'], _colours(planes))),
@@ -192,7 +192,7 @@ def _colours(planes: np.ndarray) -> np.ndarray:
 
 
 def _legend(planes: np.ndarray) -> str:
-    """Return the classes in the scene with their colours; empty if none is known."""
+    """Return the classes in the scene with their colours; empty if no class is known."""
     return ', '.join(f'{kind.readable} {name}' for kind, (name, _) in drawing.CLASS_COLOURS.items()
                      if (planes['class'] == kind).any())
 
@@ -206,13 +206,13 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument('--fov', type=float,
                         help='horizontal field of view in degrees, instead of a calibration')
     parser.add_argument('--mounting', choices=['any', 'upright'], default='any', help=(
-        'upright: none of these images was taken on its side, upside down or straight down, so '
-        'that their lines show more often which way is down (default: %(default)s)'))
+        'upright: the camera was never on its side, upside down or looking straight down, so '
+        'lines show the direction of gravity more often (default: %(default)s)'))
     parser.add_argument('--model', default='auto', metavar='NAME|FILE', help=(
         f'depth network: auto, {", ".join(NETWORKS)}, or an .onnx file (default: %(default)s)'))
     parser.add_argument('--model-output', choices=['metric_depth', 'disparity',
                                                    'relative_disparity'],
-                        help='output of a network file')
+                        help='kind of output of a network file')
     parser.add_argument('--without-network', action='store_true',
                         help='only process images with measured depth')
     parser.add_argument('--output', type=Path, default=Path('demo_output'),

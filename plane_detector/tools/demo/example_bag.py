@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""A small bag with the topics of a depth camera, on which the tutorial can be followed."""
+"""A small bag with the topics of a depth camera, for following the tutorial."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ IMAGES, PERIOD_NS, START_NS = 6, 200_000_000, 1_000_000_000
 COLOUR = '/camera/camera/color'
 DEPTH = '/camera/camera/aligned_depth_to_color/image_raw'
 CAMERA_FRAME = 'camera_color_optical_frame'
-HEIGHT_M = 1.07  # of the camera above the floor of the workshop, by its measured depth
+HEIGHT_M = 1.07  # of the camera above the floor of the workshop, from its measured depth
 
 
 def write_example_bag(target: Path, photograph: Photograph) -> None:
     """
     Write images, CameraInfo and depth of a camera that does not move, as a RealSense sends them,
-    and its place on a robot: odom, base_footprint, camera_color_optical_frame.
+    and its pose on a robot: odom, base_footprint, camera_color_optical_frame.
 
     The folder must not exist.
     """

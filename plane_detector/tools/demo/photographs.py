@@ -15,10 +15,10 @@ from plane_detector.types import MOST_FIELD_OF_VIEW_DEG, CameraIntrinsics
 
 # Horizontal field of view for images without calibration, typical of phones and webcams.
 _FIELD_OF_VIEW_DEG = 60.0
-# Larger images are reduced: a labelled cloud of 4000 x 3000 points is 240 MB per frame.
+# Larger images are reduced: a labelled cloud of 4000 x 3000 points takes 240 MB per frame.
 _LONGEST_SIDE_PX = 800
-# Direction down in the workshop: that of its floor in measured depth. A robot has it from TF or an
-# IMU; the small network shows too little of this image to find it.
+# Downward direction in the workshop, from its floor in measured depth. A robot gets it from TF or
+# an IMU; the small network sees too little in this image to estimate it.
 WORKSHOP_GRAVITY = (-0.01, 0.97, 0.26)
 _SUFFIXES = ('.bmp', '.jpeg', '.jpg', '.png', '.tif', '.tiff', '.webp')
 
@@ -27,16 +27,16 @@ _SUFFIXES = ('.bmp', '.jpeg', '.jpg', '.png', '.tif', '.tiff', '.webp')
 class Lens:
     """Calibration of a camera, for images of full size; contradictions raise ValueError."""
 
-    fx: float | None = None  # pixels; without it the camera is not calibrated
+    fx: float | None = None  # pixels; without it the camera is uncalibrated
     fy: float | None = None  # default: fx
     cx: float | None = None  # default: the centre of the image
     cy: float | None = None
-    field_of_view_deg: float | None = None  # horizontal, of a camera that is not calibrated
+    field_of_view_deg: float | None = None  # horizontal, of an uncalibrated camera
 
     def __post_init__(self) -> None:
         others = (self.fy, self.cx, self.cy)
         if self.fx is None and any(value is not None for value in others):
-            raise ValueError('fy, cx and cy need fx')
+            raise ValueError('fy, cx and cy require fx')
         if self.fx is not None and self.field_of_view_deg is not None:
             raise ValueError('either fx or a field of view, not both')
         if (self.field_of_view_deg is not None
@@ -58,8 +58,8 @@ class Lens:
         if self.fx is not None:
             return 'calibration as given'
         if self.field_of_view_deg is not None:
-            return f'not calibrated, field of view {self.field_of_view_deg:g} degrees as given'
-        return f'not calibrated, field of view assumed to be {_FIELD_OF_VIEW_DEG:g} degrees'
+            return f'uncalibrated, field of view {self.field_of_view_deg:g} degrees as given'
+        return f'uncalibrated, field of view assumed to be {_FIELD_OF_VIEW_DEG:g} degrees'
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ class Photograph:
 
 def own_images(source: Path, lens: Lens) -> list[Photograph]:
     """
-    Return an image, or those of a folder, reduced to `_LONGEST_SIDE_PX` if they are larger.
+    Return an image, or the images of a folder, reduced to `_LONGEST_SIDE_PX` if larger.
 
     Raises
     ------
@@ -110,7 +110,7 @@ def _photograph(path: Path, name: str, lens: Lens) -> Photograph:
 
 def workshop() -> Photograph:
     """
-    Return a motorcycle in a workshop, of scikit-image, with true disparity and calibration.
+    Return the motorcycle in a workshop of scikit-image, with true disparity and calibration.
 
     Middlebury 2014 stereo, Scharstein et al.: z = fx * baseline / (disparity + doffs).
     """

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""The node and a camera beside it, in one process, connected by their topics."""
+"""The node and a simulated camera in one process, connected by their topics."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class Session:
 
     def __init__(self, parameters: Mapping[str, Any]) -> None:
         self._context = rclpy.Context()
-        # Another one each: the node of the session before is still known there for a while.
+        # A new one each time: there, the node of the previous session is still known for a while.
         rclpy.init(context=self._context, domain_id=private_domain(),
                    signal_handler_options=SignalHandlerOptions.NO)
         self._executor = SingleThreadedExecutor(context=self._context)
@@ -104,19 +104,19 @@ class Session:
 
     def process(self, photograph: Photograph) -> Received:
         """
-        Publish a photograph, and its depth if known, and return what the node makes of it.
+        Publish a photograph, and its depth if known, and return the results of the node.
 
         Raises
         ------
         TimeoutError
-            The outputs did not come; the log of the node says why.
+            The outputs did not arrive; the log of the node says why.
 
         """
         self._spin_until(self._reset.call_async(Trigger.Request()).done, _FRAME_S,
                          'the node does not answer')
         self._publish(photograph, ('camera_info',))  # before the first image of another camera
         self._spin(_INTRODUCTION_S)
-        self._send(photograph)  # outputs whose subscribers are new are not made yet
+        self._send(photograph)  # outputs with new subscribers are not made yet
         seconds = []
         for _ in range(_MEASURED_FRAMES):
             start_s = time.perf_counter()
@@ -124,7 +124,7 @@ class Session:
             seconds.append(time.perf_counter() - start_s)
             self._spin(_PERIOD_S - seconds[-1])
         self._facts.clear()
-        self._spin_until(lambda: 'scale' in self._facts, _FRAME_S, 'no diagnostics came')
+        self._spin_until(lambda: 'scale' in self._facts, _FRAME_S, 'no diagnostics arrived')
         return Received(
             read_cloud(self._messages['points']), read_cloud(self._messages['planes']).ravel(),
             depth_from_msg(self._messages['depth'], photograph.rgb[..., 0].size),
@@ -137,7 +137,7 @@ class Session:
         self._spin_until(
             lambda: all(name in self._messages and self._messages[name].header.stamp == stamp
                         for name in _OUTPUTS),
-            _FRAME_S, f'the results for {photograph.name} did not come')
+            _FRAME_S, f'the results for {photograph.name} did not arrive')
 
     def _publish(self, photograph: Photograph, names: tuple[str, ...]) -> Header:
         """Publish a photograph's messages of these names; return their header."""

@@ -1,3 +1,3 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Recorded bags through the code of the node."""
+"""Replay of recorded bags through the code of the node."""

@@ -34,11 +34,15 @@ TOPICS = {'image': 'sensor_msgs/Image or CompressedImage', 'camera_info': 'its C
           'depth': 'measured depth of the image, used instead of a network',
           'imu': 'sensor_msgs/Imu'}
 DESCRIPTION = """
-Find the planes in every image of a bag, as fast as possible, and write them into a new bag.
+Find the planes in every image of a bag, as fast as possible, and write them "
+              "into a new bag.
 
-Every frame is processed by the code of the node, without topics in between: none is dropped, and
-the same frames give the same planes. If the bag has measured depth for the image (same frame_id
-and size), it is used; a network is used only if there is none, or with --network.
+Every frame is processed by the code of the node, without topics "
+              "in between: no frame is dropped, and
+the same frames give the same planes. If the "
+              "bag has measured depth for the image (same frame_id
+and size), it is used; a "
+              "network is used only if there is none, or with --network.
 """
 USAGE = """
   replay [options] INPUT [OUTPUT]                       one bag (default: INPUT_planes, here)
@@ -99,7 +103,7 @@ def _run_many(arguments: argparse.Namespace, inputs: Sequence[str], folder: Path
     try:
         summaries = many_bags.replay_many(bags, options, arguments.jobs)
     except (KeyboardInterrupt, OSError):
-        # A terminal signals the workers too: that one of them ended may be noticed first.
+        # A terminal signals the workers too, so the end of a worker may be noticed first.
         if not received:
             raise
         end_process(INTERRUPTED)  # a cluster on this machine ends with this process
@@ -112,7 +116,7 @@ def _run_many(arguments: argparse.Namespace, inputs: Sequence[str], folder: Path
 
 
 def _options(arguments: argparse.Namespace, source: Path, target: Path) -> ReplayOptions:
-    # Parameters that are set by other options come first.
+    # Parameters set by other options come first.
     by_depth = ['depth.source:=topic'] if arguments.depth else []
     if arguments.network is not None:
         by_depth = ['depth.source:=model']
@@ -149,10 +153,10 @@ def _make_parser() -> argparse.ArgumentParser:
         prog='replay', description=DESCRIPTION, epilog=EXIT_CODES, usage=USAGE,
         formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument('paths', nargs='+', metavar='INPUT', help=(
-        'rosbag2 folder (sqlite3, mcap, compressed), .mcap, .db3 or ROS 1 .bag; for many bags '
-        'any number of these, of folders of bags and of quoted patterns'))
+        'rosbag2 folder (sqlite3, mcap, compressed), .mcap, .db3 or ROS 1 .bag; for many bags, '
+        'any number of these, of folders with bags and of quoted patterns'))
     parser.add_argument('--output-folder', type=Path, metavar='FOLDER', help=(
-        'process many bags: folder of the new bags and of summary.csv; all paths are inputs then'))
+        'process many bags: folder for the new bags and summary.csv; all paths are then inputs'))
 
     add = parser.add_argument_group('inputs').add_argument
     for role, meaning in TOPICS.items():
@@ -166,8 +170,8 @@ def _make_parser() -> argparse.ArgumentParser:
 
     add = parser.add_argument_group('processing').add_argument
     add('--network', metavar='[NAME]',
-        help='use a network even if the bag has measured depth: that of depth.model, or the one '
-             'named here, or an .onnx file')
+        help='use a network even if the bag has measured depth: depth.model, or the network or '
+             '.onnx file named here')
     add('--params-file', type=Path, metavar='YAML', help='parameters of the node, as for ros2 run')
     add('-p', '--parameter', action='append', default=[], metavar='NAME:=VALUE',
         help='one parameter, as for ros2 run: -p scale.camera_height:=1.2')
@@ -192,11 +196,11 @@ def _make_parser() -> argparse.ArgumentParser:
     add('--map', type=Path, metavar='FILE',
         help='keep a map of planes in target_frame (-p target_frame:=odom) and write it to this '
              'file; with many bags the name of a folder')
-    add('--load', type=Path, metavar='FILE', help='go on from this map')
+    add('--load', type=Path, metavar='FILE', help='continue from this map')
 
     add = parser.add_argument_group('many bags').add_argument
     add('--jobs', type=_jobs, default=-1, metavar='N',
-        help='bags processed at a time, one thread each (default: all cores)')
+        help='number of bags processed at a time, one thread each (default: all cores)')
     return parser
 
 

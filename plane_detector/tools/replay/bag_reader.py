@@ -63,7 +63,7 @@ class BagReader:
         self.path = path
         file = _storage(path)
         self.is_ros1 = file.suffix == '.bag'
-        # ROS 1 messages use ROS 2's definitions: rosbags itself removes the seq of headers.
+        # ROS 1 messages use ROS 2's definitions; rosbags itself removes the seq of headers.
         self._types = get_typestore(Stores.ROS2_JAZZY)
         try:
             self._reader = (rosbag1 if self.is_ros1 else rosbag2).Reader(file)
@@ -163,7 +163,7 @@ class BagReader:
 
 
 def to_message(recorded: Recorded, message_class: Any) -> Any:
-    """Return the message that a subscription would receive; raise BagError if it is none."""
+    """Return the message that a subscription would receive; raise BagError if it is invalid."""
     try:
         return deserialize_message(bytes(recorded.cdr), message_class)
     except Exception as error:  # the middleware's own error class is not public
@@ -172,7 +172,7 @@ def to_message(recorded: Recorded, message_class: Any) -> Any:
 
 
 def bag_name(path: Path) -> str:
-    """Return the name of a bag: that of the folder, dots included, or of the file without type."""
+    """Return the name of a bag: of its folder, including dots, or its file without suffix."""
     return path.name if path.is_dir() else path.stem
 
 

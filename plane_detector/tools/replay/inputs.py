@@ -1,8 +1,8 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-The inputs of a replay: the topics of a bag, those requested or the only ones that fit, its frames
-in the order in which they are complete, their copies, and its transforms.
+The inputs of a replay: the topics of a bag (requested, or the only ones that fit), its frames in
+the order in which they are complete, their copies, and its transforms.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _ROLES = {'image': (Image, CompressedImage), 'camera_info': (CameraInfo,),
 _GREY_ENCODINGS = ('mono8', 'mono16', '8uc1')
 _RECTIFIED_WORD = 'rect'
 _TRANSFORM_TYPES = ('tf2_msgs/msg/TFMessage', 'tf/msg/tfMessage')
-# derived: an image waits for its partners while at most 16 others do, see FrameSynchronizer.
+# derived: an image waits for its partners while at most 16 others wait, see FrameSynchronizer.
 _WAITING = 3 * 64
 
 
@@ -65,7 +65,7 @@ class Inputs:
     why: str
 
     def describe(self, facts: Mapping[str, str]) -> str:
-        """Return one line with the source of depth, by the facts of a detector, and the reason."""
+        """Return a line with the source of depth, from the facts of a detector, and the reason."""
         if self.config.depth.is_measured:
             return f'measured: {self.why}'
         reason = facts.get('depth_model_reason', '')
@@ -83,9 +83,9 @@ def choose_inputs(bag: BagReader, options: ReplayOptions) -> Inputs:
 
     1. The image is the one requested, or else the best colour image. Where there is none, or with
        ``depth.colour: none``, each depth image is a frame.
-    2. The calibration is the one requested, or beside the image, or the only one.
-    3. Measured depth is used if it is requested, or has frame_id and size of the image, so that it
-       needs no transform, and no other source was requested.
+    2. The calibration is the one requested, or the one next to the image, or the only one.
+    3. Measured depth is used if it is requested, or if it has the frame_id and size of the image,
+       so that it needs no transform, and no other source is requested.
     4. The depth topic is the one requested, or the only one with the frame_id of the image.
     5. The IMU is the one requested, or the only one, with ``use_imu``.
 
@@ -124,7 +124,7 @@ def choose_inputs(bag: BagReader, options: ReplayOptions) -> Inputs:
     same_frame = [topic for topic in depths if _first(bag, topic.name).header.frame_id == frame_id]
     depth = requested.get('depth', '')
     is_needed = config.depth.is_measured or config.scale.method == 'depth_topic'
-    if not depth and (is_needed or len(same_frame) == 1):  # one may fix the scale of a network
+    if not depth and (is_needed or len(same_frame) == 1):  # it may fix the scale of a network
         depth = _only(bag, 'depth', same_frame)
     if depth and config.depth.is_measured:
         config = _measured(bag, config, depth, 'image')
@@ -148,7 +148,7 @@ def _registered(bag: BagReader, camera: InputTopics, depths: Sequence[Topic]) ->
 
 
 def _described(bag: BagReader, depth: str) -> str:
-    """Return a depth topic and what shows whether it is registered."""
+    """Return a depth topic with the properties that show whether it is registered."""
     msg = _first(bag, depth)
     width, height = depth_size(msg)
     kind = getattr(msg, 'encoding', getattr(msg, 'format', 'points'))
@@ -190,7 +190,7 @@ def _colour_images(bag: BagReader) -> list[Topic]:
 
 
 def _depth_topics(bag: BagReader, source: str) -> list[Topic]:
-    """Return the topics of depth images, of each not both transports, or of organised clouds."""
+    """Return the topics of depth images, each in one transport only, or of organised clouds."""
     if source == 'points':
         return [topic for topic in _of_role(bag, 'depth')
                 if getattr(_first(bag, topic.name), 'height', 1) > 1
@@ -221,7 +221,7 @@ def _best_image(bag: BagReader, candidates: Sequence[Topic]) -> str:
 
 
 def _calibration(bag: BagReader, image: str, requested: Mapping[str, str]) -> str:
-    """Return the CameraInfo topic that is requested, beside the image, or the only one."""
+    """Return the CameraInfo topic that is requested, next to the image, or the only one."""
     beside = _beside(bag, image)
     return requested.get('camera_info') or (
         beside[0] if beside else _only(bag, 'camera_info', _of_role(bag, 'camera_info')))
@@ -262,7 +262,7 @@ def _first(bag: BagReader, topic: str) -> Any:
 
 def imu_to_camera(bag: BagReader, inputs: Inputs, transforms: FrameTransforms | None
                   ) -> tuple[float, ...]:
-    """Return the mounting of the IMU: that of the settings, or of TF where that is no turn."""
+    """Return the mounting of the IMU: from the settings, or from TF if they are the identity."""
     set_by_user, topics = inputs.config.scale.imu_to_camera, inputs.topics
     if not topics.imu or not is_identity(set_by_user) or transforms is None:
         return set_by_user
@@ -323,7 +323,7 @@ class ReadFrame(NamedTuple):
     index: int  # among all frames
     time_ns: int  # when its last message was recorded
     frame: Frame
-    dropped: int  # images without a partner since the frame before
+    dropped: int  # images without a partner since the previous frame
 
 
 def read_frames(bag: BagReader, topics: InputTopics, times_ns: tuple[int, int],
@@ -344,7 +344,7 @@ def _all_frames(bag: BagReader, topics: InputTopics, times_ns: tuple[int, int],
     time_ns, names = times_ns[0], frozenset(topics.names)
     add = {topics.image: synchronizer.add_image, topics.camera_info: synchronizer.add_camera_info,
            topics.depth: synchronizer.add_depth, topics.imu: synchronizer.add_imu}
-    # Calibrations that are recorded once may come late, or before the start.
+    # Calibrations that are recorded once may appear late, or before the start.
     synchronizer.add_camera_info(_first(bag, topics.camera_info))
     for recorded in bag.read(names | copies.topics, *times_ns):
         time_ns, msg = recorded.time_ns, None
@@ -370,10 +370,11 @@ def read_transforms(bag: BagReader, settings: NodeConfig, topics: InputTopics
     """
     Return all transforms of a bag that the settings need; None if they need none.
 
-    All are read before the first image, because they may be recorded after the image they precede:
-    twice, since a robot has thirty joints and only the way from the camera to the robot is kept.
-    Damaged messages and invalid transforms are skipped and counted in ``bag.damaged``. BagError is
-    raised if there are none but the settings name a frame; an IMU may do without.
+    All are read before the first image, because a transform may be recorded after the image that
+    it precedes. They are read twice, because a robot may have thirty joints, and only the path
+    from the camera to the robot is kept. Damaged messages and invalid transforms are skipped and
+    counted in ``bag.damaged``. BagError is raised if there are none but the settings name a frame;
+    an IMU works without.
     """
     is_required = settings.base_frame or settings.target_frame
     if not (is_required or settings.use_imu):

@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Many bags, each a job of joblib: processes on this machine, or the backend that is set.
+Many bags, each a joblib job: processes on this machine, or the configured backend.
 
-As with make, a second run does what is missing: a new bag has its name only when it is whole.
+As with make, a second run does only what is missing: a new bag gets its name when complete.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _SHOWN_ERROR = 60
 
 @dataclass(frozen=True)
 class BagSummary:
-    """Result of a bag: the name of the new one, ``finished``, ``done before`` or ``failed``."""
+    """Result of a bag: name of the new bag, and ``finished``, ``done before`` or ``failed``."""
 
     bag: str
     state: str
@@ -57,11 +57,11 @@ def is_collection(text: str) -> bool:
 
 def find_bags(inputs: Sequence[str], left_out: Path | None = None) -> dict[str, Path]:
     """
-    Return the bags to process, by the names of the new ones, in a fixed order.
+    Return the bags to process, by the names of the new bags, in a fixed order.
 
-    The inputs are bags, folders, which are searched recursively (but not ``left_out``, that of
-    the new bags), and patterns. A bag given as such keeps its name; one found in a folder is named
-    by its path in the folder: ``monday_walk`` for ``monday/walk``.
+    The inputs are bags, patterns, and folders, which are searched recursively (except
+    ``left_out``, the folder of the new bags). A bag given directly keeps its name; a bag found in
+    a folder is named by its path in the folder: ``monday_walk`` for ``monday/walk``.
 
     Raises
     ------
@@ -98,7 +98,7 @@ def _of_input(text: str, left_out: Path | None) -> Iterator[tuple[str, Path]]:
 
 
 def _below(folder: Path, left_out: Path | None) -> Iterator[Path]:
-    """Yield the bags in a folder and its subfolders, sorted by name, but no hidden ones."""
+    """Yield the bags in a folder and its subfolders, sorted by name, except hidden ones."""
     for path in sorted(folder.iterdir()):
         if _is_bag(path):
             yield path
@@ -107,7 +107,7 @@ def _below(folder: Path, left_out: Path | None) -> Iterator[Path]:
 
 
 def _is_bag(path: Path) -> bool:
-    """Whether it is a file of a bag, a folder with metadata, or that of a killed recording."""
+    """Whether a path is a bag file, or a bag folder: with metadata, or of a killed recording."""
     if not path.is_dir():
         return path.suffix in FILE_SUFFIXES
     entries = list(path.iterdir())
@@ -128,8 +128,8 @@ def replay_many(bags: Mapping[str, Path], options: ReplayOptions, jobs: int = -1
     bags : mapping of str to Path
         By the names of the new bags.
     options : ReplayOptions
-        For all of them: the target is the folder of the new bags; figures, ply, table and map
-        are folders with one entry per bag.
+        For all bags: the target is the folder of the new bags; figures, ply, table and map are
+        folders with one entry per bag.
     jobs : int
         Bags at a time; -1: as many as the backend has cores.
 
@@ -149,9 +149,9 @@ def replay_many(bags: Mapping[str, Path], options: ReplayOptions, jobs: int = -1
     except Exception as error:  # each backend has its own class for a worker that died
         begun = [one.target.name for one in each if part_folder(one.target).exists()]
         raise OSError(
-            f'a worker ended, at one of {", ".join(begun) or "the bags"}: '
-            f'{type(error).__name__}: {" ".join(str(error).split())}. Whole bags are kept; '
-            'the same command does the others') from error
+            f'a worker ended, at one of {", ".join(begun) or "the bags"}: {type(error).__name__}: '
+            f'{" ".join(str(error).split())}. Complete bags are kept; the same command processes '
+            'the others') from error
     with AtomicOutput(options.target / SUMMARY_NAME) as draft:
         with open(draft.path, 'w', newline='', encoding='utf-8') as file:
             writer = csv.DictWriter(file, [field.name for field in fields(BagSummary)])
@@ -162,7 +162,7 @@ def replay_many(bags: Mapping[str, Path], options: ReplayOptions, jobs: int = -1
 
 
 def _options_of(name: str, source: Path, options: ReplayOptions) -> ReplayOptions:
-    """Return the options of a bag: one thread, its paths in the folders of the results."""
+    """Return the options of a bag: one thread, and its paths in the folders of the results."""
     config = options.config
     if not config.depth.threads:
         config = replace(config, depth=replace(config.depth, threads=1))
@@ -177,7 +177,7 @@ def _options_of(name: str, source: Path, options: ReplayOptions) -> ReplayOption
 
 
 def replay_one(options: ReplayOptions) -> BagSummary:
-    """Replay a bag on one thread, unless it is there already; one bag does not end the others."""
+    """Replay a bag on one thread, unless it exists; a failure does not end the other bags."""
     start_s, name = time.monotonic(), options.target.name
     try:
         if os.path.lexists(options.target):
@@ -193,7 +193,7 @@ def replay_one(options: ReplayOptions) -> BagSummary:
 
 
 def _done_before(options: ReplayOptions) -> BagSummary:
-    """Return what the metadata of a new bag say; any version may have written them."""
+    """Return the summary in the metadata of a new bag; any version may have written it."""
     found = replay_fields(options.target)
     if (found.get('replay.source'), found.get('replay.options')) != (
             options.source.name, options.fingerprint):

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a replay reads, does and writes, and the parameters of the node that it takes."""
+"""Options of a replay, and the parameters of the node that it takes."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from plane_detector.ros.parameters import no_such_parameter, updated
 from plane_detector.settings import parameters_of
 
 NODE_NAME = 'plane_detector'
-# The obstacles are a quarter of a bag, and their points are in ~/points too; the others repeat
-# ~/planes, and readers of bags may not know the type of detections.
+# The obstacles would take a quarter of a bag, and their points are in ~/points too; the others
+# repeat ~/planes, and programs that read bags may not know the type of detections.
 DEFAULT_OUTPUTS = tuple(name for name in OUTPUTS
                         if name not in (POINTS_WITHOUT_FLOOR, 'planes_json', 'detections'))
 # Paths do not affect the content of the new bag.
@@ -48,7 +48,7 @@ class ReplayOptions:
     settings: NodeConfig = field(default_factory=NodeConfig)
     topics: Mapping[str, str] = field(default_factory=dict)  # requested, see find_camera
     depth_by_bag: bool = False  # measured depth if the bag has it, whatever config.depth.source is
-    start_s: float = 0.0  # of the part to replay, after the first message
+    start_s: float = 0.0  # start of the part to replay, after the first message
     duration_s: float = float('inf')
     every: int = 1  # one frame in this many, starting with the first
     outputs: tuple[str, ...] = DEFAULT_OUTPUTS
@@ -59,7 +59,7 @@ class ReplayOptions:
     ply: Path | None = None
     table: Path | None = None
     map_file: Path | None = None  # to write, with config.map.enabled
-    load_map: Path | None = None  # file of a map to go on from
+    load_map: Path | None = None  # file of a map to continue
 
     @property
     def fingerprint(self) -> str:
@@ -75,14 +75,14 @@ def load_settings(params_file: Path | None, assignments: Sequence[str],
     Return the settings that the node would start with.
 
     File and assignments are as for ``ros2 run`` after ``--params-file`` and ``-p``; the latter
-    (``depth.source:=topic``) override the file. ``node`` has the values of what is not set.
+    (``depth.source:=topic``) override the file. ``node`` has the values of settings not given.
 
     Raises
     ------
     FileNotFoundError
         The file does not exist.
     ValueError
-        A parameter is not known, a value is invalid, or the file has no section for this node.
+        A parameter is unknown, a value is invalid, or the file has no section for this node.
 
     """
     values = [*_from_file(params_file), *map(_from_assignment, assignments)]

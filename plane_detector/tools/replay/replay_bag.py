@@ -51,7 +51,7 @@ from plane_detector.tools.replay.options import NODE_NAME, ReplayOptions
 from plane_detector.tools.replay.writer import AtomicOutput, BagWriter, ReplayFiles
 from plane_detector.types import Detection
 
-INTERRUPTED = 'interrupted_'  # prefix of the names of what an interrupted replay has made so far
+INTERRUPTED = 'interrupted_'  # prefix of the name of an interrupted bag
 _DIAGNOSTICS_TOPIC = '/diagnostics'
 _REPLAY_NAME = 'replay'
 _MOST_SHOWN = 10_000  # characters, of the names of all topics
@@ -63,19 +63,19 @@ class Tally:
 
     depth: str  # the depth or network that was used, and why
     processed: int = 0  # frames that gave planes
-    planes: int = 0  # in all frames together
+    planes: int = 0  # total over all frames
     errors: Counter[str] = field(default_factory=Counter)  # why frames were skipped
     without_partner: int = 0  # images without calibration or depth
-    unpaired: int = 0  # those of them between the first and the last frame
+    unpaired: int = 0  # of these, those between the first and the last frame
     damaged: int = 0  # messages, or sections of the bag, that could not be read
-    unread: str = ''  # why the bag could not be read to its end
+    unread: str = ''  # why the bag could not be read to the end
     interrupted: bool = False  # stopped before the end
     target: Path | None = None  # the new bag
     seconds: float = 0.0  # of all frames
     stage_seconds: Counter[str] = field(default_factory=Counter)  # the rest is reading
     map_events: list[str] = field(default_factory=list)  # jumps of the poses
-    map_problem: str = ''  # with the poses or the map at the end
-    # Where the unit of depth came from, and why planes have no class, of each frame by kind.
+    map_problem: str = ''  # of the poses or the map at the end
+    # Source of the unit of depth, and why planes have no class, of each frame by kind.
     scales: dict[str, list[str]] = field(default_factory=lambda: defaultdict(list))
     gaps: dict[str, list[str]] = field(default_factory=lambda: defaultdict(list))
 
@@ -144,7 +144,7 @@ class Tally:
 
 
 def _counted(texts: Mapping[str, list[str]]) -> list[str]:
-    """Return a line for each kind, with the first of its texts, which may differ by frame."""
+    """Return a line for each kind, with the first of its texts, which may vary by frame."""
     return [f'{len(of_kind)} frames: {of_kind[0]}'
             + (' (in the first of them)' if len(set(of_kind)) > 1 else '')
             for of_kind in texts.values()]
@@ -161,7 +161,7 @@ def _scale_of(depth_source: str, detection: Detection) -> str:
 
 def diagnostics_msg(header: Header, index: int, tally: Tally, facts: Mapping[str, str],
                     found: DetectedFrame | None, error: str = '') -> DiagnosticArray:
-    """Return the diagnostics of a frame, with the tally up to it; an error says it was skipped."""
+    """Return the diagnostics of a frame, with the tally so far; an error: it was skipped."""
     stage_seconds = found.timer.seconds if found else {}
     total_s = sum(stage_seconds.values())
     report = Report(tally.processed, tally.without_partner, tally.skipped,
@@ -180,9 +180,9 @@ def replay(options: ReplayOptions, quiet: bool = False) -> Tally:
     """
     Replay a bag.
 
-    The new bag gets its name when it is whole. If the work is stopped
+    The new bag gets its name when it is complete. If the work is stopped
     (`plane_detector._runtime.stopping`), the bag of the frames so far gets the prefix
-    `INTERRUPTED`. ``quiet`` prints neither the source of depth nor the progress.
+    `INTERRUPTED`. With ``quiet``, neither the source of depth nor the progress is printed.
 
     Raises
     ------
@@ -264,7 +264,7 @@ def _process(frames: Iterable[ReadFrame], processor: FrameProcessor, writer: Bag
             found, error = None, ''
             try:
                 found, messages = processor.process(frame, wanted)
-            except Exception as raised:  # as in the node, one frame does not end the others
+            except Exception as raised:  # as in the node, one bad frame does not end the replay
                 error = tally.add_error(raised)
             else:
                 tally.stage_seconds.update(found.timer.seconds)
@@ -288,7 +288,7 @@ def _process(frames: Iterable[ReadFrame], processor: FrameProcessor, writer: Bag
         tally.interrupted = True
     except BagError as error:
         tally.unread = str(error)
-    if live_map:  # the map after the last image, whenever it was published before
+    if live_map:  # the map after the last image, whenever it was published last
         for name, msg in make_map_messages(live_map.take_view()).items():
             writer.write(_topic(name), time_ns, msg)
         tally.map_problem = live_map.problem()
@@ -296,13 +296,13 @@ def _process(frames: Iterable[ReadFrame], processor: FrameProcessor, writer: Bag
 
 
 def _expected_frames(bag: BagReader, image: str, times_ns: tuple[int, int]) -> int:
-    """Return about how many images there are between two times."""
+    """Return the approximate number of images between two times."""
     count = next(topic.count for topic in bag.topics if topic.name == image)
     return round(count * (times_ns[1] - times_ns[0]) / (bag.end_ns - bag.start_ns))
 
 
 def _map_of(config: Config, options: ReplayOptions) -> LiveMap | None:
-    """Return the map, of a file if one is to be loaded; None if there is to be none."""
+    """Return the map, from a file if one is to be loaded; None if no map is wanted."""
     if not config.map.enabled:
         return None
     live_map = LiveMap(config.map, options.settings.target_frame)

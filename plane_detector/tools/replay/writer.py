@@ -1,8 +1,8 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-What a replay writes: a rosbag2, which `ros2 bag`, RViz and Foxglove open, a figure and a cloud of
-each frame, tables of all frames. Files and folders get their names when they are whole.
+Outputs of a replay: a rosbag2, which `ros2 bag`, RViz and Foxglove open, a figure and a cloud of
+each frame, tables of all frames. Files and folders get their names when they are complete.
 """
 
 from __future__ import annotations
@@ -47,11 +47,11 @@ from plane_detector.tools.replay.bag_reader import BagError, BagReader, Recorded
 STORAGES = {'mcap': StoragePlugin.MCAP, 'sqlite3': StoragePlugin.SQLITE3}
 # Chunks of an mcap file are compressed inside the file; sqlite3 has no chunks.
 _COMPRESSIONS = {'mcap': CompressionMode.STORAGE, 'sqlite3': CompressionMode.MESSAGE}
-# What the rows of a table hold, by output.
+# Contents of the rows of a table, by output.
 _ROWS = {'planes': PLANE_DTYPE, 'shapes': SHAPE_DTYPE}
 _FOREVER = QosTime(9223372036, 854775807)
-# `ros2 bag play` offers what the bag states, and volatile if it states nothing: RViz, which asks
-# for the last message of a latched topic, would never get one.
+# `ros2 bag play` offers the QoS stated in the bag, and volatile if there is none: RViz, which
+# requests the last message of a latched topic, would never get one.
 _LATCHED = [Qos(QosHistory.KEEP_LAST, 1, QosReliability.RELIABLE, QosDurability.TRANSIENT_LOCAL,
                 _FOREVER, _FOREVER, QosLiveliness.AUTOMATIC, _FOREVER, False)]
 # The last version whose quality of service can be read by rosbag2 before Jazzy.
@@ -60,10 +60,11 @@ _VERSION = 8
 
 class AtomicOutput:
     """
-    A file or folder that gets its name when it is whole; a context manager.
+    A file or folder that gets its name when it is complete; a context manager.
 
-    TARGET is written to `path`, .TARGET.part/TARGET. What a killed process left there is replaced
-    by the next one that writes TARGET; that a living one writes it, raises BlockingIOError.
+    TARGET is written to `path`, .TARGET.part/TARGET. The remains of a killed process are replaced
+    by the next process that writes TARGET. BlockingIOError is raised if another process is writing
+    it.
     """
 
     def __init__(self, target: Path):
@@ -88,7 +89,7 @@ class AtomicOutput:
         self._lock.close()
 
     def publish(self, prefix: str = '') -> Path:
-        """Give it its name; with a prefix, if it was interrupted, it replaces an earlier one."""
+        """Give it its name; with a prefix if it was interrupted, then replacing an earlier one."""
         target = self._target.with_name(prefix + self._target.name)
         if prefix and replay_fields(target):
             shutil.rmtree(target)
@@ -97,7 +98,7 @@ class AtomicOutput:
 
 
 def part_folder(target: Path) -> Path:
-    """Return the folder of a draft: it is left behind only by a process that was killed."""
+    """Return the folder for writing a target: only a killed process leaves it behind."""
     return target.with_name(f'.{target.name}.part')
 
 
@@ -115,7 +116,7 @@ class BagWriter:
     """
     A new rosbag2 of format ``mcap`` or ``sqlite3``, compressed by zstd or not; a context manager.
 
-    Its methods raise OSError if it cannot be written.
+    Its methods raise OSError if the bag cannot be written.
     """
 
     def __init__(self, path: Path, storage: str, compressed: bool):
@@ -197,8 +198,8 @@ class BagWriter:
             return self._writer.add_connection(source.topic, source.msgtype,
                                                typestore=self._types, offered_qos_profiles=qos)
         if bag.is_ros1 or source.msgdef.format == MessageDefinitionFormat.NONE:
-            raise BagError(f'{source.topic} cannot be copied: its type {source.msgtype} is not '
-                           f'known here. {bag.describe()}')
+            raise BagError(f'{source.topic} cannot be copied: its type {source.msgtype} is '
+                           f'unknown here. {bag.describe()}')
         return self._writer.add_connection(
             source.topic, source.msgtype, msgdef=source.msgdef.data, rihs01=source.digest,
             offered_qos_profiles=qos)
@@ -224,7 +225,7 @@ class ReplayFiles:
         self._opened = ExitStack()
 
     def __enter__(self) -> ReplayFiles:
-        # All is checked now: what fails at the end costs hours of work.
+        # Everything is checked now: a failure at the end would cost hours of work.
         for path in filter(None, (*self._paths.values(), self._map_file)):
             if path.is_dir():
                 raise IsADirectoryError(f'{path} is a folder: name a file')
@@ -269,7 +270,7 @@ class ReplayFiles:
                 write_ply(path, points_m, tinted, result.labels,
                           in_metres=result.detection.scale.is_metric)
         for name, (_, file) in self._tables.items():
-            if name not in messages:  # its pose is not known
+            if name not in messages:  # its pose is unknown
                 continue
             csv.writer(file).writerows(
                 [index, stamp_text(result), *csv_row(fields)]
@@ -278,7 +279,7 @@ class ReplayFiles:
 
 @contextmanager
 def _whole(path: Path) -> Iterator[Path]:
-    """Yield the path to write a file to, which then gets its name."""
+    """Yield the path to which a file is written before it gets its name."""
     draft = path.with_name(f'.{path.name}')
     yield draft
     os.replace(draft, path)

@@ -92,14 +92,14 @@ def test_rvl_gives_back_what_was_encoded(seed):
 
 
 def rvl_data():
-    yield 'empty', b'', 'breaks off'
-    yield 'cut', encode_rvl(np.arange(1, 1001, dtype=np.uint16))[:100], 'breaks off'
-    yield 'more pixels', encode_rvl(np.ones(1001, np.uint16)), 'is not that of 1000'
-    yield 'no pixels', bytes(400), 'is not that of 1000'
-    yield 'no values in a million runs', bytes.fromhex('10101010') * 250_000, 'is not that of 1000'
+    yield 'empty', b'', 'truncated'
+    yield 'cut', encode_rvl(np.arange(1, 1001, dtype=np.uint16))[:100], 'truncated'
+    yield 'more pixels', encode_rvl(np.ones(1001, np.uint16)), 'does not have 1000'
+    yield 'no pixels', bytes(400), 'does not have 1000'
+    yield 'no values in a million runs', bytes.fromhex('10101010') * 250_000, 'does not have 1000'
     yield 'huge run', b'\xff' * 11 + b'\x7f', 'too large'
     yield 'endless number', b'\xff' * 100, 'too large'
-    yield 'no depth', bytes.fromhex('00000013'), 'not in 1 to 65535'
+    yield 'no depth', bytes.fromhex('00000013'), 'outside 1 to 65535'
 
 
 @pytest.mark.parametrize('data, reason', [
@@ -111,7 +111,7 @@ def test_rvl_that_is_not_of_the_image_is_refused(data, reason):
 
 def test_rvl_of_depths_that_no_image_has_is_refused():
     down = bytes.fromhex('00001001')  # nibbles 0, 1, 1: one value, a change of -1
-    with pytest.raises(ValueError, match='not in 1 to 65535'):
+    with pytest.raises(ValueError, match='outside 1 to 65535'):
         decode_rvl(down, 1)
 
 
@@ -128,11 +128,11 @@ BAD = {
     'png bomb': (with_data(change=lambda data: data[:12] + png_bomb(30000, 30000)),
                  'is 30000 x 30000'),
     'colour png': (with_data(change=lambda data: data[:12] + png_bomb(60, 60)), 'cannot be decoded'
-                   '|not of 16 bits'),
+                   '|does not have 16 bits'),
     'rvl bomb': (with_data('rvl', lambda data: data[:12] + struct.pack('<II', 2**31, 2**31)),
                  'is 2147483648 x 2147483648'),
     'rvl without pixels': (with_data('rvl', lambda data: data[:12] + bytes(8)), 'is 0 x 0'),
-    'format': (with_data(form='rgb8; jpeg'), "'rgb8' is not known"),
+    'format': (with_data(form='rgb8; jpeg'), "'rgb8' is not supported"),
     'png as rvl': (with_data(form='16UC1; compressedDepth rvl'), 'compressedDepth image is')}
 
 

@@ -149,8 +149,8 @@ def test_the_header_gives_the_size(data):
 def bombs():
     yield 'png', png_bomb(30000, 30000), 'is 30000 x 30000'
     yield 'jpeg', jpeg_bomb(30000, 30000), 'is 30000 x 30000'
-    yield 'png chunk', encoded('.png')[:33] + b'\x7f' + encoded('.png')[34:], 'breaks off'
-    yield 'png end', encoded('.png')[:-12] + b'\x7f' + encoded('.png')[-11:], 'breaks off'
+    yield 'png chunk', encoded('.png')[:33] + b'\x7f' + encoded('.png')[34:], 'truncated'
+    yield 'png end', encoded('.png')[:-12] + b'\x7f' + encoded('.png')[-11:], 'truncated'
     yield 'scans', jpeg_of_many_scans(*SIZE, MOST_SCANS + 1), f'more than {MOST_SCANS}'
 
 
@@ -160,8 +160,8 @@ def others():
     for extension in ('.webp', '.bmp', '.tiff', '.pgm'):
         yield extension, cv2.imencode(extension, np.zeros((16, 18), np.uint8))[1].tobytes(), \
             'neither a JPEG nor a PNG'
-    yield 'cut png', encoded('.png')[:20], 'breaks off'
-    yield 'png without its end', encoded('.png')[:-12], 'breaks off'
+    yield 'cut png', encoded('.png')[:20], 'truncated'
+    yield 'png without its end', encoded('.png')[:-12], 'truncated'
     yield 'cut jpeg', encoded('.jpg')[:30], 'no size'
     yield 'png without a size', (PNG_BEGIN + png_chunk(b'IHDR', bytes(13))
                                  + png_chunk(b'IEND', b'')), 'no size'

@@ -144,9 +144,9 @@ def test_demo_is_quiet_when_it_is_ended(tmp_path):
     (['--images', '.'], 'demo: no image in'),
     (['--images', 'one.jpg'], 'demo: there is no image or folder one.jpg'),
     (['--fx', '525'], 'demo: a calibration'),
-    (['--mounting', 'upright'], 'demo: a calibration, a field of view or a mounting is for your'),
+    (['--mounting', 'upright'], 'demo: a calibration, a field of view or a mounting applies'),
     (['--model', 'nowhere.onnx'], 'demo: --model nowhere.onnx is neither a file nor one of '),
-    (['--model', __file__], 'demo: --model-output must state the output of a network file')])
+    (['--model', __file__], 'demo: --model-output must state the kind of output of a network')])
 def test_demo_reports_wrong_arguments(tmp_path, monkeypatch, capsys, arguments, reason):
     pytest.importorskip('skimage', reason='scikit-image holds the motorcycle')
     main = pytest.importorskip('plane_detector.tools.demo.__main__').main
