@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Loops over cells and pixels, compiled to machine code by numba.
+Kernels: loops over cells and pixels, compiled to machine code by numba.
 
 Numba is imported when the first kernel is needed, not with the package. The machine code is cached
 in a folder of the user. The folder of each kernel is named by a digest of everything that numba
@@ -10,8 +10,8 @@ kernels that it calls. (Numba itself would notice only a change of the file.)
 
 Compiling is slow, mostly in Python, and numba compiles one function at a time. It is therefore
 done by as many processes as there are cores; this process stays responsive and loads the results.
-A kernel that one place calls becomes part of its caller before types are inferred, which saves an
-eighth of the core time: LLVM would optimise and emit it once by itself and once in each caller.
+A kernel with a single caller becomes part of that caller before types are inferred, which saves an
+eighth of the core time: LLVM would optimise and emit it once separately and once in each caller.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ LOG_PERIOD_S = 5.0
 """Time between two messages while kernels are compiled."""
 _CHECK_S = 0.1
 _PYTHON_NAME = re.compile(r'(python|pypy)[\d.]*t?')
-# chosen: longer than a robot rests; each change of a file leaves the folders of before.
+# chosen: longer than a robot rests; each change of a file leaves the old folders behind.
 _UNUSED_S = 30 * 24 * 3600.0
 # The program of a helper. In isolated mode the working directory is not searched for modules.
 _HELPER = """
@@ -74,10 +74,11 @@ class Kernel:
     signature : str
         Types of result and arguments in numba's notation; no other types are compiled.
     is_short : bool
-        It keeps the interpreter's lock. A stage that gives it away for less than the switch
-        interval waits longer to get it back than the loop takes; with some fifty such loops in a
-        frame, the stages of the node took a fifth more core time and twice the time. True for
-        loops over cells or planes: the longest ends in a quarter of the node's switch interval.
+        It keeps the interpreter lock. A stage that releases the lock for less than the switch
+        interval waits longer to get it back than the kernel runs; with some fifty such kernels per
+        frame, the stages of the node took a fifth more core time and twice the elapsed time. True
+        for loops over cells or planes: the longest ends within a quarter of the node's switch
+        interval.
     subject : str
         Name for :func:`compile_kernels`; by default the folder of its module.
 
@@ -117,7 +118,7 @@ class Kernel:
             value = self._function.__globals__.get(name)
             if isinstance(value, Kernel):
                 value = value.digest
-            elif hasattr(value, 'tolist'):  # an array or a number of numpy
+            elif hasattr(value, 'tolist'):  # a numpy array or number
                 value = value.dtype, value.tolist()
             if isinstance(value, (bool, int, float, str, tuple)):
                 digest.update(f'{name} {value!r}\n'.encode())
@@ -135,14 +136,14 @@ class Kernel:
         if self._compiled is not None:
             return
         import numba
-        if self.is_cached:  # machine code contains its callees: half of all kernels
-            with suppress(numba.core.errors.TypingError):  # it is of another processor
+        if self.is_cached:  # machine code contains its callees, which are half of all kernels
+            with suppress(numba.core.errors.TypingError):  # it is for another processor
                 self._compiled = self._jit(self._function)
                 return
         self._compiled = self._jit(self._with_callees())
 
     def _with_callees(self) -> FunctionType:
-        """Return its function, calling what numba can call; the caller must hold the lock."""
+        """Return its function with callees that numba can call; the caller must hold the lock."""
         import numba
         code, names = self._function.__code__, dict(self._function.__globals__)
         for name in code.co_names:
@@ -159,14 +160,14 @@ class Kernel:
 
     @property
     def _is_called_once(self) -> bool:
-        """Whether its module, the only one that may use a private name, calls it at one place."""
+        """Whether its module, which alone may use a private name, calls it at only one place."""
         return self.__name__.startswith('_') and sum(
             step.argval == self.__name__ for one in _KERNELS if one.__module__ == self.__module__
             for step in dis.get_instructions(one._function.__code__)) == 1
 
     def _jit(self, function: Callable) -> Callable:
         collects = gc.isenabled()
-        gc.disable()  # a sixth of the time to compile would go into looking for garbage
+        gc.disable()  # garbage collection would take a sixth of the compile time
         try:
             try:
                 return self._jit_in(_folder_of(self), function)
@@ -213,17 +214,17 @@ def _own_kernels(subjects: set[str]) -> list[Kernel]:
 def compile_kernels(subjects: Iterable[str], log: Callable[[str], None] = lambda text: None,
                     what: str = 'the kernels') -> None:
     """
-    Compile kernels, or load those that no other one calls, so that the first frame is not delayed.
+    Compile kernels, or load the top-level ones, so that the first frame is not delayed.
 
     Parameters
     ----------
     subjects : iterable of str
-        Folders of the package, such as ``'segmentation'``, or ``'network'``: what only the depth
-        of a network needs. Their imported kernels are compiled.
+        Folders of the package, such as ``'segmentation'``, or ``'network'`` for kernels that only
+        the depth of a network needs. Their imported kernels are compiled.
     log : callable
-        Called with a text when kernels must be compiled, and every five seconds meanwhile.
+        Called with a text when kernels must be compiled, and every five seconds while they are.
     what : str
-        What is compiled, for this text.
+        Name of what is compiled, for this text.
 
     """
     subjects = set(subjects)
@@ -246,7 +247,7 @@ def compile_kernels(subjects: Iterable[str], log: Callable[[str], None] = lambda
 
 @cache
 def load_once(*subjects: str) -> None:
-    """Compile or load the kernels of these subjects, at the first call of a process only."""
+    """Compile or load the kernels of these subjects, only at the first call in a process."""
     compile_kernels(subjects, logging.getLogger(__name__).warning)
 
 
@@ -254,8 +255,8 @@ def _python() -> str | None:
     """
     Return the program that runs this version of Python; None if there is none.
 
-    In a program that embeds Python ``sys.executable`` is that program, or empty: started as a
-    helper, it would do whatever it does.
+    In a program that embeds Python, ``sys.executable`` is that program, or empty; it must not be
+    started as a helper.
     """
     name = f'python{sys.version_info.major}.{sys.version_info.minor}'
     folders = [Path(prefix) / 'bin' for prefix in (sys.prefix, sys.base_prefix)]
@@ -268,16 +269,16 @@ def _python() -> str | None:
 def _compile_in_processes(kernels: list[Kernel], log: Callable[[str], None],
                           what: str) -> None:
     """
-    Let other processes fill the cache; what they fail to compile is compiled by the caller.
+    Let other processes fill the cache; the caller compiles whatever they fail to compile.
 
-    Processes of multiprocessing would run the program of a user who calls this package outside of
-    ``if __name__ == '__main__'`` again, and search the working directory for modules.
+    Processes of multiprocessing would rerun a user's program that calls this package outside ``if
+    __name__ == '__main__'``, and search the working directory for modules.
     """
     if (python := _python()) is None:
         log(f'{sys.executable or "this program"} is not Python and none is in {sys.prefix}: no '
             'process can help, so that compiling takes several times as long')
         return
-    # A module at a time, since its kernels share callees; the longest first, to end together.
+    # One module at a time, because its kernels share callees; the longest first, to end together.
     length = Counter()
     for one in _KERNELS:
         length[one.__module__] += len(one._function.__code__.co_code)
@@ -286,17 +287,18 @@ def _compile_in_processes(kernels: list[Kernel], log: Callable[[str], None],
     queue, end = os.pipe()
     os.write(end, bytes(range(len(modules))))
     os.close(end)
-    # This package first, wherever the program that uses it has found it.
+    # This package first, from wherever the calling program has imported it.
     search_path = os.pathsep.join([str(Path(__file__).parents[2]), *filter(None, sys.path)])
     command = [python, '-I', *(['-B'] if sys.dont_write_bytecode else []), '-c', _HELPER,
                search_path, str(os.getpid()), ' '.join({one.subject for one in kernels}), *modules]
-    # Numba would mark up each of the 50000 types that it tries in vain.
+    # Numba would add colour markup to each of the 50000 types that it tries in vain.
     environment = {**os.environ, 'NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING': '1'}
     helpers, logged_s = [], time.monotonic()
     with open(queue, 'rb') as numbers, tempfile.TemporaryFile() as errors:
         try:
             for _ in range(min(len(os.sched_getaffinity(0)), MOST_PROCESSES, len(modules))):
-                # A session of its own: a signal to end is for this process, which ends the others.
+                # A separate session: a signal to end is meant for this process, which ends the
+                # others.
                 helpers.append(subprocess.Popen(
                     command, stdin=numbers, stdout=subprocess.DEVNULL, stderr=errors,
                     env=environment, start_new_session=True))
@@ -305,7 +307,7 @@ def _compile_in_processes(kernels: list[Kernel], log: Callable[[str], None],
                 if time.monotonic() - logged_s > LOG_PERIOD_S:
                     logged_s, done = time.monotonic(), [one for one in kernels if one.is_cached]
                     log(f'{what}: {len(done)} of {len(kernels)} compiled')
-                    for one in done:  # to load all of them at the end takes a second or two
+                    for one in done:  # loading all of them at the end would take a second or two
                         one.compiled()
                 time.sleep(_CHECK_S)
         finally:
@@ -315,12 +317,12 @@ def _compile_in_processes(kernels: list[Kernel], log: Callable[[str], None],
         if any(helper.returncode for helper in helpers):
             errors.seek(0)
             reason = errors.read().decode(errors='replace').strip().rpartition('\n')[2]
-            log(f'a process that helps has failed, so that compiling takes longer: {reason}')
+            log(f'a helper process has failed, so compiling takes longer: {reason}')
 
 
 def help_parent(parent: int, subjects: set[str], modules: Sequence[str]) -> None:
     """
-    Compile kernels of subjects, while the parent lives.
+    Compile kernels of subjects while the parent process is alive.
 
     The numbers of their modules are read from standard input.
     """
@@ -337,7 +339,7 @@ def help_parent(parent: int, subjects: set[str], modules: Sequence[str]) -> None
 
 @contextmanager
 def _one_process(one: Kernel) -> Iterator[None]:
-    """Let one process at a time compile; workers started with it load its machine code."""
+    """Let only one process compile at a time; other workers load its machine code."""
     with ExitStack() as held:
         if (folder := _folder_of(one)) is not None:
             try:
@@ -355,7 +357,7 @@ def _one_process(one: Kernel) -> Iterator[None]:
 
 
 def _folder_of(one: Kernel) -> Path | None:
-    """Return the folder of the machine code of a kernel; None if it is kept in memory only."""
+    """Return the folder of the machine code of a kernel; None if it is kept only in memory."""
     if _memory_only.is_set():
         return None
     try:
@@ -366,7 +368,7 @@ def _folder_of(one: Kernel) -> Path | None:
 
 
 def _keep_in_memory(error: OSError) -> None:
-    """Keep machine code in memory only from now on."""
+    """Keep machine code only in memory from now on."""
     if not _memory_only.is_set():
         _memory_only.set()
         logging.getLogger(__name__).warning(
@@ -386,7 +388,7 @@ def _remove_unused(used: Iterable[Kernel]) -> None:
 
 @cache
 def _digest_of_file(path: str) -> Any:
-    # Numba compiles again if its version, Python's or place or time of the file has changed.
+    # Numba compiles again if its version, Python's, or the path or time of the file has changed.
     versions = f'{version("numba")} {sys.version} {path} {os.stat(path).st_mtime_ns}\n'
     return hashlib.sha256(versions.encode() + Path(path).read_bytes())
 
@@ -394,10 +396,11 @@ def _digest_of_file(path: str) -> Any:
 @cache
 def cache_folder() -> Path:
     """
-    Return the folder of the machine code, which no other user can write to.
+    Return the folder of the machine code, to which no other user can write.
 
-    Numba unpickles what it finds there. If neither the user's cache nor a folder of the user in
-    the temporary directory can be used, the folder is a new one, and each start compiles again.
+    Numba unpickles the files that it finds there. If neither the user's cache nor a folder of the
+    user in the temporary directory is usable, the folder is a new one, and each start compiles
+    again.
     """
     folders = [_home_folder()]
     with suppress(OSError):  # on a full disk there is no temporary directory
@@ -421,7 +424,7 @@ def _home_folder() -> Path:
 
 
 def _is_ours_alone(folder: Path) -> bool:
-    """Return whether this user owns the folder, which is no link, and only this user writes."""
+    """Return whether the folder is not a link, and only this user owns it and writes to it."""
     status = folder.lstat()
     return (stat.S_ISDIR(status.st_mode) and status.st_uid == os.getuid()
             and not status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
@@ -429,7 +432,7 @@ def _is_ours_alone(folder: Path) -> bool:
 
 
 def _only_we_rename_in(folder: Path) -> bool:
-    """Return whether no other user can put another folder in the place of one in this folder."""
+    """Return whether no other user can replace a folder inside this folder."""
     status = folder.stat()
     others = stat.S_IWOTH | (stat.S_IWGRP if status.st_gid != os.getgid() else 0)
     return (status.st_uid in (0, os.getuid())

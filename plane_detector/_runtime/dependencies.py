@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-What a program says if a package that it needs is missing or broken.
+Messages of a program if a package that it needs is missing or broken.
 
 Imports nothing but the standard library.
 """
@@ -13,8 +13,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib import import_module
 
-# By the name that is imported; the versions are those of setup.py. Ubuntu has no package of the
-# last two.
+# By import name; the versions are those of setup.py. Ubuntu has no package for the last two.
 REMEDIES = {
     'cv2': "apt install python3-opencv, or pip install 'opencv-python-headless>=4.8.1.78'",
     'joblib': "apt install python3-joblib, or pip install 'joblib>=1.3'",
@@ -36,7 +35,7 @@ def explained_imports(*needed: str) -> Iterator[None]:
     """
     End the process with exit code 1 and one line if an import of this block fails.
 
-    ``needed`` are packages that the program imports only later, when it works.
+    ``needed`` are packages that the program imports only later, while it runs.
     """
     try:
         yield

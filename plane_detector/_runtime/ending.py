@@ -4,10 +4,10 @@
 How the node and the programs end: soon after a signal, quietly, with an exit code.
 
 SIGINT and SIGTERM request a `Stop`, and the main thread ends at its next check. An exception
-raised by a signal would be lost in a destructor or an error handler, and give a traceback during
+raised by a signal could be lost in a destructor or an error handler, or cause a traceback during
 shutdown. If the main thread does not end in time, or at a second signal, another thread ends the
-process. That thread needs the interpreter's lock, which a C function that never returns may hold:
-then a process of our own, started beforehand, kills this one.
+process. That thread needs the interpreter lock, which a C function that never returns may hold; in
+that case a guard process, started beforehand, kills this one.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ KILLED_LATER_S = 5
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 _OVER = b'\0'
 _MOST_SHOWN = 10_000
-# The guard passes on what Python's C code writes for each signal, until the process ends or says
-# that it is over.
+# The guard passes on the bytes that Python's C code writes for each signal, until the process ends
+# or reports that it is done.
 _GUARD = """
 import os, signal, sys
 parent, kill_s = int(sys.argv[1]), int(sys.argv[2])
@@ -58,10 +58,11 @@ os.write(1, number)
 @contextmanager
 def quiet_interrupt() -> Iterator[None]:
     """
-    Let SIGINT end the process at once, without a traceback, while this block imports a program.
+    Let SIGINT end the process immediately, without a traceback, while this block imports a
+    program.
 
-    The imports take a second, and KeyboardInterrupt would be raised somewhere in them. Nothing
-    changes in another thread than the main one, or if SIGINT is ignored or handled already.
+    The imports take a second, and KeyboardInterrupt would be raised somewhere in them. This has no
+    effect outside the main thread, or if SIGINT is already ignored or handled.
     """
     if (threading.current_thread() is not threading.main_thread()
             or signal.getsignal(signal.SIGINT) is not signal.default_int_handler):
@@ -79,9 +80,9 @@ def stopped_by_signals() -> Iterator[Stop]:
     """
     Yield a stop that SIGINT and SIGTERM request while this block runs in the main thread.
 
-    The process ends with 128 plus the number of the signal at a second one, or if the block has
-    not ended `MOST_ENDING_S` after the first. An ignored signal, as SIGINT under nohup, stays
-    ignored.
+    The process ends with 128 plus the number of the signal at a second signal, or if the block has
+    not ended within `MOST_ENDING_S` of the first. An ignored signal, such as SIGINT under nohup,
+    stays ignored.
     """
     stop, (signals, written) = Stop(), os.pipe()
     os.set_blocking(written, False)
@@ -113,7 +114,8 @@ def _start_guard(signals: int) -> subprocess.Popen:
 
     It reads the signals from a pipe and passes them on to its standard output.
     """
-    # It inherits the mask: a signal to all processes of a terminal or a service is not for it.
+    # It inherits the mask, because a signal to all processes of a terminal or service is not for
+    # it.
     before = signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)
     try:
         return subprocess.Popen(
@@ -127,9 +129,9 @@ def _start_guard(signals: int) -> subprocess.Popen:
 def _watch(watched: int, stop: Stop) -> None:
     """Request the stop at the first signal; end the process at the second one or in time."""
     number = os.read(watched, 1)
-    if number in (_OVER, b''):  # the guard has gone; the main thread still handles signals
+    if number in (_OVER, b''):  # the guard has ended; the main thread still handles signals
         return
-    # The main thread may be in C++ and not come to its handler; `set` may wait for `uncut` work.
+    # The main thread may be in C++ and never reach its handler; `set` may wait for `uncut` work.
     threading.Thread(target=stop.set, daemon=True).start()
     ready, _, _ = select.select([watched], [], [], MOST_ENDING_S)
     if not ready or os.read(watched, 1) != _OVER:

@@ -9,7 +9,7 @@ MOST_CHARACTERS = 400
 
 def plain(text: str, most: int = MOST_CHARACTERS) -> str:
     r"""
-    Return a text as one line of printable characters, cut if it is long.
+    Return a text as one line of printable characters, truncated if it is long.
 
     Examples
     --------

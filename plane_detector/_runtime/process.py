@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Memory and threads of a process that works on one frame after the other."""
+"""Memory and threads of a process that processes one frame after the other."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def retain_freed_memory(one_heap: bool = False) -> bool:
     Parameters
     ----------
     one_heap : bool
-        Use one heap for all threads, because those of other threads are returned whatever the
+        Use one heap for all threads, because the heaps of other threads are returned whatever the
         thresholds; only before threads are started.
 
     Returns
@@ -56,10 +56,10 @@ def retain_freed_memory(one_heap: bool = False) -> bool:
 
 def tidy_after_loading() -> None:
     """
-    Collect garbage now, and not in the middle of a frame; return the memory that loading freed.
+    Collect garbage now, not in the middle of a frame; return the memory freed by loading.
 
-    After it the next full collection comes when a quarter more objects live: none in 600 frames.
-    Without it there was one, of .08 s.
+    The next full collection then happens when there are a quarter more objects: none in 600
+    frames. Without this there was one, of .08 s.
     """
     gc.collect()
     with suppress(AttributeError, OSError, TypeError):  # another C library than glibc
@@ -77,7 +77,7 @@ _limiting = threading.Lock()  # held by the block that limits the threads of the
 
 @cache
 def _libraries() -> ThreadpoolController:
-    """Return the libraries with threads of their own; to look for them takes 13 ms."""
+    """Return the libraries with their own threads; searching for them takes 13 ms."""
     return ThreadpoolController()
 
 

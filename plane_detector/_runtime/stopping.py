@@ -25,7 +25,7 @@ class Stopped(BaseException):
 
 class Stop:
     """
-    A request that a piece of work ends.
+    A request to end a piece of work.
 
     Examples
     --------
@@ -55,7 +55,7 @@ class Stop:
 
     @contextmanager
     def applies(self) -> Iterator[None]:
-        """Make this stop the one that :func:`raise_if_stopped` checks in this block and thread."""
+        """Make :func:`raise_if_stopped` check this stop in this block and thread."""
         token = _current.set(self)
         try:
             yield

@@ -47,7 +47,7 @@ def valid_depth(depth_m: np.ndarray) -> np.ndarray:
 
 def limited_depth(depth_m: np.ndarray, max_depth_m: float = np.inf) -> np.ndarray:
     """
-    Return depth (H, W) float32, NaN where it is not valid or larger than `max_depth_m`.
+    Return depth (H, W) float32, NaN where it is invalid or larger than `max_depth_m`.
 
     Examples
     --------
@@ -92,7 +92,7 @@ def to_depth(disparity: np.ndarray, max_depth_m: float = np.inf) -> np.ndarray:
 
 
 def _float32(values: np.ndarray) -> np.ndarray:
-    """Return the values as a kernel takes them."""
+    """Return the values in the form that kernels take."""
     if values.dtype == np.float32:
         return np.ascontiguousarray(values)
     with np.errstate(over='ignore'):  # beyond float32 is infinite
@@ -131,10 +131,10 @@ def noise_reference(disparity: np.ndarray) -> float:
     """
     Return the range of the disparities of an image, the unit of a network's noise.
 
-    The errors of networks scale with the disparities of the scene. A level in 1/m that is right in
-    a room, with disparities of 0.2 to 1, is far too high in a street, with 0.01 to 0.06. The range
+    The errors of networks scale with the disparities of the scene. A level in 1/m that suits a
+    room, with disparities of 0.2 to 1, is far too high for a street, with 0.01 to 0.06. The range
     scales with the unit and does not depend on the shift. A surface that fills the image has
-    hardly any range; the lower bound is a quarter of its median.
+    hardly any range, so the lower bound is a quarter of its median.
 
     Parameters
     ----------

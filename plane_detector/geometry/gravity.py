@@ -13,19 +13,19 @@ import numpy as np
 from plane_detector.geometry.rigid_transform import RigidTransform
 
 _STANDARD_GRAVITY = 9.80665  # m/s^2
-# A larger deviation of the mean force means that it is not gravity.
+# A larger deviation of the mean force means that the force is not gravity.
 _MAX_FORCE_ERROR_SHARE = 0.1
-# chosen: steps and bumps of robots take less than half a second; angular velocities that are off
-# by .01 rad/s turn the mean of two seconds by 1 degree.
+# chosen: steps and bumps of robots take less than half a second; an error of .01 rad/s in the
+# angular velocities rotates the mean of two seconds by 1 degree.
 _AVERAGED_S, _AVERAGED_TURNING_S = 0.5, 2.0
 _SILENT_IMU_S = 1.0
-_JOLT_M_S2 = 0.5 * _STANDARD_GRAVITY  # chosen: beyond what shakes a robot that goes on rolling
-# chosen: half of what shakes gravity by more than 5 degrees for as long as it lasts.
+_JOLT_M_S2 = 0.5 * _STANDARD_GRAVITY  # chosen: above the vibration of a robot that keeps rolling
+# chosen: half of the vibration that moves gravity by more than 5 degrees while it lasts.
 _SHAKEN_M_S2 = 1.0
-# chosen: planes within 10 degrees are level; a tenth of the image is no lamp, and a hundredth of
-# it shows the floor. 12 degrees off level, a camera is on its side rather than upside down.
+# chosen: planes within 10 degrees are level; a tenth of the image is not a lamp, and a hundredth
+# of it shows the floor. 12 degrees off level, a camera is on its side rather than upside down.
 _LEVEL_COSINE, _LEAST_CEILING, _LEAST_FLOOR, _UPSIDE_DOWN = math.cos(math.radians(10)), .1, .01, .2
-_NEAR_CEILING_M = 1.5  # chosen: below that of a room over a camera that looks up
+_NEAR_CEILING_M = 1.5  # chosen: below the height of a room above a camera that looks up
 
 
 def unit_direction(direction: Sequence[float] | np.ndarray) -> np.ndarray | None:
@@ -89,10 +89,11 @@ def is_identity(quaternion: Sequence[float]) -> bool:
 def sign_question(gravity_camera: np.ndarray, normals: np.ndarray, offsets_m: np.ndarray,
                   counts: np.ndarray, pixels: int) -> str:
     """
-    Return that measured gravity may point up, and the remedy; empty if nothing tells so.
+    Return that measured gravity may point up, and the remedy; empty without evidence.
 
-    By it, the camera is upside down and sees a ceiling, but no level surface below; or it looks
-    up, and what it sees is near. That is rare, and what a floor becomes if the sign is turned.
+    According to it, the camera is upside down and sees a ceiling, but no level surface below; or
+    it looks up, and the ceiling is near. That is rare, but it is what a floor looks like if the
+    sign is inverted.
 
     Parameters
     ----------
@@ -118,7 +119,7 @@ def sign_question(gravity_camera: np.ndarray, normals: np.ndarray, offsets_m: np
     how = 'is upside down' if is_upside_down else 'looks up'
     return (f'by the measured gravity the camera {how} and sees a ceiling '
             f'{offsets_m[ceiling]:.2f} m above it, but no floor: if that is a floor, the sign is '
-            'turned; at rest linear_acceleration points up, away from the earth (REP-145), and '
+            'inverted; at rest linear_acceleration points up, away from the earth (REP-145), and '
             'gravity_camera down')
 
 
@@ -126,9 +127,9 @@ class GravityFilter:
     """
     The direction of gravity from an IMU, averaged over time.
 
-    The force of a moving accelerometer is that of gravity and of its acceleration, whose mean over
-    a while is small. Without angular velocities that is half a second; with them, the mean turns
-    with the IMU, as in a complementary filter, over four times as long.
+    A moving accelerometer measures gravity and its own acceleration, whose mean over time is
+    small. Without angular velocities the mean is over half a second; with them it rotates with the
+    IMU, as in a complementary filter, and is over four times as long.
 
     Parameters
     ----------
@@ -155,7 +156,7 @@ class GravityFilter:
         self.reset()
 
     def mount(self, imu_to_camera: Sequence[float]) -> None:
-        """Change the mounting of the IMU; readings by another one are discarded."""
+        """Change the mounting of the IMU; readings with another mounting are discarded."""
         if tuple(imu_to_camera) != tuple(self._imu_to_camera):
             self._imu_to_camera = imu_to_camera
             self.reset()
@@ -189,14 +190,14 @@ class GravityFilter:
         is_jolt = abs(np.linalg.norm(force) - _STANDARD_GRAVITY) > _JOLT_M_S2
         if interval_s <= 0 or (is_jolt and self._is_weight):
             return
-        # Zeros are those of a driver without a gyroscope, until one shows a turn.
+        # Zeros mean a driver without a gyroscope, until a reading shows a rotation.
         turns = angular_velocity is not None and np.isfinite(angular_velocity).all()
         self._has_turned |= turns and np.any(angular_velocity)
-        if turns:  # what stands still in the world turns against the IMU
+        if turns:  # a direction fixed in the world rotates against the IMU
             self._force = cv2.Rodrigues(-interval_s * np.asarray(angular_velocity, float))[0] @ (
                 self._force)
         most_s = _AVERAGED_TURNING_S if turns and self._has_turned else _AVERAGED_S
-        # The mean of all readings until they fill the time: the first one may be a jerk.
+        # The mean of all readings until they fill the time, because the first one may be a jerk.
         self._averaged_s = min(self._averaged_s + interval_s, most_s)
         gain = interval_s / (self._averaged_s + interval_s)
         deviation = force - self._force
@@ -218,14 +219,14 @@ class GravityFilter:
 
     @property
     def problem(self) -> str:
-        """What is wrong with the readings, and the remedy; empty if nothing is."""
+        """The problem with the readings, and the remedy; empty if there is none."""
         if self._fault or self._force is None:
             return self._fault and f'{self._fault}; gravity is not taken from it'
         strength, shaken = float(np.linalg.norm(self._force)), math.sqrt(self._spread2)
         if self._averaged_s >= _AVERAGED_S / 2 and not self._is_weight:
             is_in_g = abs(strength - 1) <= _MAX_FORCE_ERROR_SHARE
             remedy = ('it is in g, and must be in m/s^2 (REP-145)' if is_in_g else
-                      'calibrate it, or let its driver publish acceleration with gravity, in '
+                      'calibrate it, or make its driver publish acceleration with gravity, in '
                       'm/s^2')
             return (f'the linear_acceleration of the IMU is {strength:.2f} long at rest, not '
                     f'{_STANDARD_GRAVITY:.2f} m/s^2: {remedy}; gravity is not taken from it')

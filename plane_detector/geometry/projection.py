@@ -29,7 +29,7 @@ def pixel_rays(intrinsics: CameraIntrinsics) -> tuple[np.ndarray, np.ndarray]:
 
 def as_image(rgb: np.ndarray, intrinsics: CameraIntrinsics) -> np.ndarray:
     """
-    Return an image (H, W, 3) uint8 as the loops take it: contiguous and writable.
+    Return an image (H, W, 3) uint8 in the form that kernels take: contiguous and writable.
 
     Raises
     ------
@@ -58,12 +58,12 @@ def as_image(rgb: np.ndarray, intrinsics: CameraIntrinsics) -> np.ndarray:
 def as_depth(depth_m: np.ndarray, intrinsics: CameraIntrinsics, max_depth_m: float = np.inf,
              kind: str = 'z') -> np.ndarray:
     """
-    Return measured depth as the pipeline takes it: z (H, W) float32, NaN invalid.
+    Return measured depth in the form that the pipeline takes: z (H, W) float32, NaN invalid.
 
     Parameters
     ----------
     depth_m : (H, W) floating
-        Metres; NaN, infinity and less than 1 mm are invalid, and so is what is masked in a masked
+        Metres; NaN, infinity and less than 1 mm are invalid, and so are masked values of a masked
         array.
     intrinsics : CameraIntrinsics
         Of an image of that size.
@@ -95,7 +95,7 @@ def as_depth(depth_m: np.ndarray, intrinsics: CameraIntrinsics, max_depth_m: flo
 
 def ray_lengths(intrinsics: CameraIntrinsics) -> np.ndarray:
     """
-    Return the distance of each pixel's point over its depth, (H, W) float32, at least 1.
+    Return the ratio of distance to depth of each pixel, (H, W) float32, at least 1.
 
     Examples
     --------
@@ -108,7 +108,7 @@ def ray_lengths(intrinsics: CameraIntrinsics) -> np.ndarray:
 
 
 def _checked_depth(depth_m: np.ndarray, intrinsics: CameraIntrinsics) -> np.ndarray:
-    """Return depth (H, W) floating, NaN where it is masked; ValueError if it is no such image."""
+    """Return depth (H, W) floating, NaN where it is masked; ValueError if it is not valid."""
     depth_m = np.asanyarray(depth_m)
     if depth_m.ndim != 2 or depth_m.dtype.kind != 'f':
         raise ValueError('depth must be a 2-D floating point array in metres, not '

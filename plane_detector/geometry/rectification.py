@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Rectification, by which images of a real lens become those of a pinhole camera, and reduction.
+Rectification of images of a real lens to those of a pinhole camera, and reduction.
 
 The models are those of sensor_msgs/CameraInfo as OpenCV implements them: plumb_bob (Brown, 5
 coefficients), rational_polynomial (8; 12 and 14 with OpenCV's thin prism and tilted sensor) and
@@ -17,7 +17,7 @@ import numpy as np
 
 from plane_detector.types import CameraIntrinsics
 
-# chosen: rounded to two digits, a rotation is still one.
+# chosen: a rotation rounded to two digits is accepted.
 _MOST_OFF_ROTATION = 0.05
 _COEFFICIENTS = {'plumb_bob': (4, 5), 'rational_polynomial': (8, 12, 14), 'equidistant': (4,)}
 
@@ -38,13 +38,13 @@ class Rectification:
                              'do not fit together')
 
     def image(self, rgb: np.ndarray) -> np.ndarray:
-        """Rectify an image (H, W, 3) uint8; black outside of the original."""
+        """Rectify an image (H, W, 3) uint8; black outside the original."""
         self._check(rgb)
         return cv2.remap(rgb, self.map_x, self.map_y, cv2.INTER_LINEAR,
                          borderMode=cv2.BORDER_CONSTANT)
 
     def depth(self, depth_m: np.ndarray) -> np.ndarray:
-        """Rectify a depth image (H, W) float32 by nearest pixels; NaN outside of the original."""
+        """Rectify a depth image (H, W) float32 by nearest pixels; NaN outside the original."""
         self._check(depth_m)
         nearest = cv2.remap(depth_m, self.map_x, self.map_y, cv2.INTER_NEAREST,
                             borderMode=cv2.BORDER_CONSTANT, borderValue=np.nan)
@@ -87,8 +87,8 @@ def make_rectification(model: str, distortion: np.ndarray, camera_matrix: np.nda
     Raises
     ------
     ValueError
-        The model is not known, the number of its coefficients is wrong, R is no rotation, or
-        nothing is left.
+        The model is unknown, the number of its coefficients is wrong, R is not a rotation, or no
+        pixel is left.
 
     """
     if model not in _COEFFICIENTS:
@@ -114,7 +114,7 @@ def _depth_factor(rotation: np.ndarray, rectified_matrix: np.ndarray,
     of_column, of_row, constant = np.linalg.inv(rectified_matrix).T @ rotation[:, 2]
     if of_column == of_row == 0:
         return np.full((1, 1), 1 / constant, np.float32)
-    # Sums of single precision: an image of 8000 x 6000 would take 2 GB more.
+    # In single precision: an image of 8000 x 6000 would take 2 GB more.
     rows = (of_row * np.arange(size[1]) + constant).astype(np.float32)
     original_depth = np.add.outer(rows, (of_column * np.arange(size[0])).astype(np.float32))
     return np.divide(1, original_depth, out=original_depth)

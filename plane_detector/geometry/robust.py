@@ -33,7 +33,7 @@ def median(values: np.ndarray) -> float:
 
 def order_statistics(values: np.ndarray, rank: int) -> tuple[float, float]:
     """
-    Return the two values (n,) of ranks ``rank`` - 1 and ``rank`` < n from 0 on.
+    Return the two values of ranks ``rank`` - 1 and ``rank`` < n, counted from 0, of values (n,).
 
     Below the smallest is -infinity; NaN comes last. Three times as fast as numpy.partition, which
     waits for branches that the processor cannot predict.
@@ -52,7 +52,7 @@ def order_statistics(values: np.ndarray, rank: int) -> tuple[float, float]:
 @kernel("Tuple((float64[::1], int64, float64))(Array(float64, 1, 'C', readonly=True), int64)",
         is_short=True)
 def _bucket_of(values, rank):
-    """Return few of the values with one of a rank, its rank in them, the largest one below."""
+    """Return a subset with the value of a rank, its rank there, and the largest value below."""
     kept, below = values.copy(), -np.inf
     while len(kept) > 48:
         low, high, is_finite = kept[0], kept[0], True

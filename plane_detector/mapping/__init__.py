@@ -1,3 +1,3 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Planes of images and poses to one map of planes."""
+"""Planes of images, with their poses, to one map of planes."""

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Which planes of an image are which planes of the map."""
+"""Association of the planes of an image with the planes of the map."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from plane_detector.types import PlaneClass, Planes
 
 # Planes whose normals differ by more are never compared: heights over the other would be steep.
 SAME_SIDE = np.cos(np.radians(30.0))
-# How far a plane goes on unseen: over gaps and furniture; an upright one behind a doorway.
+# How far a plane continues unobserved: across gaps and furniture; an upright one across a doorway.
 # chosen: the width of a leg of a table with its shadow, of a door with its frame.
 REACH_M, UPRIGHT_REACH_M = 0.25, 1.2
 # chosen: the floor and the ceiling of a hall.
 LEVEL_REACH_M = 20.0
-# chosen: an upright plane is one within 20 degrees of it.
+# chosen: a plane within 20 degrees of upright is upright.
 _UPRIGHT = np.sin(np.radians(20.0))
-# Points of a found plane of which one in so many must be within reach of the map's plane.
+# One in this many points of a detected plane must be within reach of the plane of the map.
 _MIN_NEAR = 0.02
 
 
@@ -39,7 +39,7 @@ class Pairs:
     old: np.ndarray  # (M,) int, index of the plane in view
     new: np.ndarray  # (M,) int
     squared: np.ndarray  # (M,) chi-squared of their difference
-    shared: np.ndarray  # (M,) share of the cells in view, of the map's or of the image's plane
+    shared: np.ndarray  # (M,) share of the cells in view, of the plane of the map or of the image
     overlap: np.ndarray  # (M,) intersection over union of these cells
 
     def __len__(self) -> int:
@@ -54,7 +54,7 @@ class Pairs:
 def visible(planes: Sequence[MapPlane], frames: PlaneFrames, view: View
             ) -> tuple[np.ndarray, np.ndarray]:
     """
-    Return the planes that face the camera and are in view, and the cells of them in its planes.
+    Return planes in view that face the camera, and their cells in the planes of the image.
 
     Parameters
     ----------
@@ -62,13 +62,13 @@ def visible(planes: Sequence[MapPlane], frames: PlaneFrames, view: View
     frames : PlaneFrames
         Of them.
     view : View
-        With K found planes.
+        With K detected planes.
 
     Returns
     -------
     index : (M,) int
     counts : (M, K + 1) int
-        Cells in the pixels of each found plane; the last column counts all cells in view.
+        Cells in the pixels of each detected plane; the last column counts all cells in view.
 
     """
     camera_m = view.camera_from_map.inverse().translation_m
@@ -99,7 +99,7 @@ def compare(frames: PlaneFrames, found: Planes, counts: np.ndarray, sizes: np.nd
     counts : (M, K + 1) int
         Of :func:`visible`.
     sizes : (K,) float
-        Cells that each found plane would cover.
+        Cells that each detected plane would cover.
     error : (6, 6) float64
         Covariance of the pose, about the camera.
     camera_m : (3,) float64
@@ -128,14 +128,14 @@ def fitting(pairs: Pairs, planes: Sequence[MapPlane], points_m: Sequence[np.ndar
 
 
 def reach_of(plane: MapPlane, up: np.ndarray) -> float:
-    """Return how far a plane goes on unseen, in metres."""
+    """Return how far a plane continues unobserved, in metres."""
     if plane.plane_class in (PlaneClass.FLOOR, PlaneClass.CEILING):
         return LEVEL_REACH_M
     return UPRIGHT_REACH_M if abs(plane.axes[2] @ up) < _UPRIGHT else REACH_M
 
 
 def apart_in_image(found: Planes) -> tuple[np.ndarray, np.ndarray]:
-    """Return which planes (K, K) bool of an image differ, and which ones look the same way."""
+    """Return which pairs of planes (K, K) bool differ, and which face the same way."""
     same_side = found.normals @ found.normals.T > SAME_SIDE
     first, second = np.nonzero(same_side)
     feet = -found.offsets_m[:, None] * found.normals
@@ -151,10 +151,10 @@ def apart_in_image(found: Planes) -> tuple[np.ndarray, np.ndarray]:
 
 def assign(pairs: Pairs, apart: np.ndarray, count: int) -> np.ndarray:
     """
-    Return the plane of the map of each found plane, (K,) int, -1 for none.
+    Return the plane of the map for each detected plane, (K,) int, -1 for none.
 
-    The pairs with most overlap come first, of equal ones those that fit best. Found planes that
-    the image shows apart never get the same plane.
+    The pairs with the most overlap come first, and among equal ones those that fit best. Detected
+    planes that the image shows separately never get the same plane.
     """
     taken = np.full(count, -1)
     score = pairs.overlap * np.exp(-pairs.squared / GATE) - 1e-3 * pairs.squared

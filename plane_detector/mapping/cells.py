@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-The cells of a plane of the map: how often each was looked at, and how often it was seen.
+The cells of a plane of the map: how often each was observed, and how often it was hit.
 
-A cell is looked at if it is in view and not hidden, and hit if its pixel belongs to the plane. So
-planes grow by what is seen of them, and what has gone loses its cells.
+A cell is observed if it is in view and not hidden, and hit if its pixel belongs to the plane. In
+this way planes grow where they are seen, and removed surfaces lose their cells.
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ from plane_detector.mapping.heights import PlaneFrames
 from plane_detector.planes.region_samples import MIN_COSINE
 from plane_detector.types import CameraIntrinsics, Planes
 
-# A cell is part of the plane if this share of its looks were hits.
+# A cell is part of the plane if this share of its observations were hits.
 # tuned: benchmark map --first-seed 0.
 SEEN_SHARE = 0.3
-# chosen: looks and hits are halved at so many looks, so that a change shows soon.
+# chosen: observations and hits are halved at this many observations, so that a change shows soon.
 MOST_LOOKS = 20
-# A plane with fewer cells, or a smaller share of those that were hit, is gone.
+# A plane with fewer cells, or a smaller share of the cells ever hit, is removed.
 # chosen: the fewest. tuned: the share, benchmark map --first-seed 1 --images 60 --only people:
 # equal from .3 to .5; at .15 part of a person stays.
 _FEWEST, _LEFT_SHARE = 4, 0.3
-# A look through a cell at what is behind it counts as several.
+# An observation of something behind a cell counts as several.
 # tuned: benchmark map --first-seed 0 --only hard.
 THROUGH = 3
 # chosen: 80 m from the origin of a plane at .04 m.
@@ -44,7 +44,7 @@ MOST_CELLS = 2048
 MOST_CELLS_IN_ALL = 4 * MOST_CELLS**2
 # chosen: corners of outlines may be off by one cell, in halves of a cell (Douglas and Peucker).
 _TOLERANCE = 2.0
-# Cells at the border of a bitmap, so that it need not grow with each image.
+# Spare cells at the border of a bitmap, so that it need not grow with each image.
 _MARGIN = 8
 
 
@@ -61,7 +61,7 @@ class CellSums(NamedTuple):
 
 @dataclass(frozen=True)
 class Cells:
-    """Counts of looks and hits of square cells; the arrays are not changed."""
+    """Counts of observations and hits of square cells; the arrays are not changed."""
 
     low: tuple[int, int]  # numbers of the first column, along u, and of the first row, along v
     hits: np.ndarray  # (rows, columns) uint8
@@ -85,7 +85,7 @@ class Cells:
 
     @property
     def is_gone(self) -> bool:
-        """Whether hardly any of the cells that were hit is left."""
+        """Whether hardly any of the cells that were hit are left."""
         return self.count < max(_FEWEST, _LEFT_SHARE * self.sums.ever_hit)
 
     @property
@@ -95,7 +95,7 @@ class Cells:
 
     @property
     def centroid_m(self) -> np.ndarray:
-        """Mean of these cells, (2,) along u and v; 0 if there is none."""
+        """Mean of these cells, (2,) along u and v; 0 if there are none."""
         sums = self.sums
         if not sums.cells:
             return np.zeros(2)
@@ -103,11 +103,11 @@ class Cells:
 
     @cached_property
     def sums(self) -> CellSums:
-        """Number of these cells, sums of their columns, rows, hits and looks; number ever hit."""
+        """Number of these cells, sums of columns, rows, hits, observations; number ever hit."""
         return CellSums(*_sums(self.hits, self.looks))
 
     def middles_m(self) -> np.ndarray:
-        """Return the middles of these cells, (N, 2) along u and v."""
+        """Return the centres of these cells, (N, 2) along u and v."""
         rows, columns = np.nonzero(self.seen)
         return self.size_m * (np.column_stack([columns, rows]) + np.array(self.low) + 0.5)
 
@@ -119,7 +119,7 @@ class Cells:
         return self.size_m * (corners + np.array(self.low))
 
     def nearest_m(self, flat_m: np.ndarray) -> np.ndarray:
-        """Return the middle of the nearest of these cells to a point, both (2,) along u and v."""
+        """Return the centre of the cell nearest to a point, both (2,) along u and v."""
         middles_m = self.middles_m()
         return middles_m[np.argmin(((middles_m - flat_m) ** 2).sum(axis=1))]
 
@@ -130,7 +130,8 @@ class Cells:
 
         The largest part first, each followed by its holes.
         """
-        # Twice as large, so that a border of one cell keeps its width; corners are between pixels.
+        # At twice the size, so that a border of one cell keeps its width; corners are between
+        # pixels.
         mask = self.seen.astype(np.uint8).repeat(2, axis=0).repeat(2, axis=1)
         contours, hierarchy = cv2.findContours(mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_SIMPLE)
         if not contours:
@@ -150,7 +151,7 @@ class Cells:
         """
         Return the cells with at least those between two corners (2,).
 
-        None if there would be more new ones than ``most``.
+        None if that would add more than ``most`` cells.
         """
         low, high = ([min(max(rounded(value / self.size_m), -MOST_CELLS), MOST_CELLS)
                       for value in corner_m.tolist()]
@@ -179,7 +180,7 @@ class Cells:
 class View:
     """The labels and the depth of an image, and the camera in the frame of the map."""
 
-    labels: np.ndarray  # (H, W) int32, C-contiguous, index of the found plane; -1 none
+    labels: np.ndarray  # (H, W) int32, C-contiguous, index of the detected plane; -1 none
     depth_m: np.ndarray  # (H, W) float32, C-contiguous
     camera: tuple[float, float, float, float]  # fx, fy, cx, cy
     camera_from_map: RigidTransform
@@ -188,7 +189,8 @@ class View:
 
     def steps(self, frames: PlaneFrames, lows: np.ndarray, size_m: float) -> np.ndarray:
         """
-        Return the middles of the first cells and the steps along u and v in the camera, (M, 3, 3).
+        Return the centres of the first cells, and the steps along u and v, in the camera, (M, 3,
+        3).
 
         ``lows`` (M, 2) are the numbers of these cells.
         """
@@ -204,7 +206,7 @@ class View:
 
     def may_show(self, steps: np.ndarray, shapes: np.ndarray) -> np.ndarray:
         """
-        Return which rectangles of cells may be in view, (M,) bool: no side has all corners beyond.
+        Return which rectangles of cells may be in view, (M,) bool: not all corners beyond a side.
 
         ``steps`` are those of :meth:`steps`, ``shapes`` (M, 2) the rows and columns of cells.
         """
@@ -220,7 +222,7 @@ class View:
 
 def runs(cells: Cells) -> np.ndarray:
     """
-    Return rectangles (N, 4) that cover the seen cells: rows from and below, columns likewise.
+    Return rectangles (N, 4) that cover the occupied cells: first and end row, then columns.
 
     Runs of cells of a row; equal ones of consecutive rows are one rectangle.
     """
@@ -238,7 +240,7 @@ def runs(cells: Cells) -> np.ndarray:
 
 def shared_cells(view: View, steps: np.ndarray, cells: Cells) -> np.ndarray:
     """
-    Return how many seen cells each found plane shows, (K + 1,); the last counts all in view.
+    Return how many cells each detected plane shows, (K + 1,); the last counts all in view.
 
     Every second cell in both directions is read.
     """
@@ -257,9 +259,10 @@ def vote(view: View, steps: np.ndarray, cells: Cells, is_own: np.ndarray,
         Of :meth:`View.steps`.
     cells : Cells
     is_own : (K,) bool
-        Found planes that are this plane.
+        Detected planes that are this plane.
     tolerance_m : float
-        A pixel this far off the plane, and by the noise, hides the cell or shows that it is gone.
+        A pixel farther off the plane than this plus the noise hides the cell or shows that it is
+        gone.
 
     """
     hits, looks = cells.hits.copy(), cells.looks.copy()
@@ -271,9 +274,10 @@ def vote(view: View, steps: np.ndarray, cells: Cells, is_own: np.ndarray,
 def sampled(labels: np.ndarray, planes: Planes, intrinsics: CameraIntrinsics, rows: int
             ) -> tuple[np.ndarray, np.ndarray]:
     """
-    Return points (N, 3) of K planes, and where those of each begin and end, (K + 1,) int.
+    Return points (N, 3) of K planes, and the start and end of those of each, (K + 1,) int.
 
-    They are where the rays of the pixels of so many rows meet a plane, then its centroid.
+    They are the intersections of the rays of pixels, in this many rows, with a plane; then its
+    centroid.
     """
     ray_x, ray_y = pixel_rays(intrinsics)
     return _sampled(np.ascontiguousarray(labels, np.int32), max(1, len(labels) // rows), ray_x,
@@ -291,7 +295,7 @@ def extents(points_m: np.ndarray, ends: np.ndarray, own: np.ndarray, frames: Pla
     ends : (K + 1,) int
         Of :func:`sampled`.
     own : (K,) int
-        The frame of the points of each found plane; -1 none.
+        The frame of the points of each detected plane; -1 none.
     frames : PlaneFrames
         A frame without points gets infinities.
 
@@ -300,7 +304,7 @@ def extents(points_m: np.ndarray, ends: np.ndarray, own: np.ndarray, frames: Pla
 
 
 def are_near(flat_m: np.ndarray, cells: Cells, reach_m: float) -> float:
-    """Return the share of points (N, 2), along u and v, with a seen cell within reach."""
+    """Return the share of points (N, 2), along u and v, with an occupied cell within reach."""
     low = np.array(cells.low, float)
     return _are_near(np.ascontiguousarray(flat_m / cells.size_m - low), cells.hits, cells.looks,
                      int(np.ceil(reach_m / cells.size_m)))
@@ -309,7 +313,7 @@ def are_near(flat_m: np.ndarray, cells: Cells, reach_m: float) -> float:
 def resampled(cells: Cells, low: tuple[int, int], shape: tuple[int, int], to_other: np.ndarray
               ) -> tuple[np.ndarray, np.ndarray]:
     """
-    Return hits and looks of other cells, each that of the nearest of these cells; 0 outside.
+    Return hits and observations of other cells, from the nearest of these cells; 0 outside.
 
     ``to_other`` (2, 3) maps u, v and 1 of the other cells to u and v of these, in cells.
     """

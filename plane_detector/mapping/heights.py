@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Planes as heights over the frames of the map's planes, and how much two of them differ.
+Planes as heights over the frames of the map's planes, and the difference of two of them.
 
-A plane is h = a u + b v + c over the origin and the axes u, v of a frame, so that the fusion of
-two measurements is linear least squares and their difference has three degrees of freedom.
+A plane is h = a u + b v + c over the origin and the axes u, v of a frame, so the fusion of two
+measurements is linear least squares, and their difference has three degrees of freedom.
 """
 
 from __future__ import annotations
@@ -109,8 +109,8 @@ def heights_of(frames: PlaneFrames, planes: Planes, index: np.ndarray,
     covariances : (M, 3, 3) float64
         With the error of the pose.
     jacobians : (M, 3, 6) float64
-        Derivatives of the coefficients by the pose. A point of the plane at u and v rises by
-        N . (rotation x (p - centre) + shift), which is linear in u and v.
+        Derivatives of the coefficients with respect to the pose. A point of the plane at u and v
+        rises by N . (rotation x (p - centre) + shift), which is linear in u and v.
 
     """
     return _heights_of(frames.origins_m, frames.axes, planes.normals[index],
@@ -127,7 +127,7 @@ def normal_equations(frames: PlaneFrames, planes: Planes, index: np.ndarray,
                      camera: RigidTransform, centre_m: np.ndarray
                      ) -> tuple[np.ndarray, np.ndarray]:
     """
-    Return information (6, 6) and gradient (6,) of a pose, by the misfits of its planes.
+    Return information (6, 6) and gradient (6,) of a pose, from the misfits of its planes.
 
     Parameters
     ----------

@@ -3,9 +3,9 @@
 """
 The file of a map: JSON that other programs can read too.
 
-``planes`` have ``normal``, ``d``, their ``covariance`` and ``polygons`` in ``frame``, where the
-last pose sees them, and the plane as it is kept: heights over a frame of its own, and run lengths
-of the bitmap of its cells, row by row, beginning with those that are not seen.
+``planes`` have ``normal``, ``d``, their ``covariance`` and ``polygons`` in ``frame``, according to
+the last pose, and the plane as stored: heights over its own frame, and run lengths of the bitmap
+of its cells, row by row, starting with empty cells.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ from plane_detector.types import Planes
 
 VERSION = 1
 MOST_PLANES = 2000
-"""A map has no more planes: its memory is limited."""
-# derived: what a file of this size takes while it is read is 200 MB at most: 32 bytes a number,
-# 184 an object; a map of 2000 planes with outlines of 60 corners is a third of each.
+"""Largest number of planes of a map, to limit its memory."""
+# derived: reading a file of this size takes at most 200 MB: 32 bytes per number, 184 per object; a
+# map of 2000 planes with outlines of 60 corners takes a third of each.
 _MOST_BYTES, _MOST_VALUES, _MOST_OBJECTS = 32_000_000, 2_000_000, 500_000
-# derived: a marker's id is an int32, and as many labels again are left for new planes.
+# derived: the id of a marker is an int32, and half of its range is left for new planes.
 _MOST_LABEL = 2**30
 # chosen: coordinates of UTM fit.
 _MOST_M = 1e7
@@ -46,13 +46,13 @@ _LEAST_EIGENVALUE = 1e-12
 _MOST_COUNT = 2**31 - 1
 _MOST_TIME_S = 1e11
 _CELL_M = 0.001, 10.0
-# How far a rotation may be off one by rounding.
+# Tolerance of a rotation matrix for rounding.
 _ROUNDING = 1e-4
 
 
 @dataclass(frozen=True)
 class SavedMap:
-    """What a file keeps of a map."""
+    """The contents of the file of a map."""
 
     planes: tuple[MapPlane, ...]
     transform: RigidTransform  # from the frame of the poses to that of the map
@@ -62,14 +62,14 @@ class SavedMap:
 
 def write_map(path: Path, saved: SavedMap, shown: Planes) -> None:
     """
-    Write a map; the file is replaced when the new one is whole.
+    Write a map; the file is replaced when the new one is complete.
 
     Parameters
     ----------
     path : Path
     saved : SavedMap
     shown : Planes
-        Its planes in the frame of the poses, as others get them.
+        Its planes in the frame of the poses, as published.
 
     Raises
     ------
@@ -99,16 +99,17 @@ def write_map(path: Path, saved: SavedMap, shown: Planes) -> None:
 
 def read_map(path: Path, frame_id: str = '') -> SavedMap:
     """
-    Read a map, of this frame if one is named.
+    Read a map; if a frame is named, it must be in that frame.
 
-    Whatever the file holds: every value is checked before anything is made of it.
+    Whatever the file contains: every value is checked before it is used.
 
     Raises
     ------
     OSError
         The file cannot be read.
     ValueError
-        It is no whole map, or of another frame or a later version. The message names the field.
+        The map is incomplete, in another frame, or of a later version. The message names the
+        field.
 
     """
     if not path.exists():
@@ -177,14 +178,14 @@ def _or_null(time_s: float) -> float | None:
 
 
 def _runs(seen: np.ndarray) -> list[int]:
-    """Return the lengths of runs of equal cells; the first one, which may be 0, is not seen."""
+    """Return the lengths of runs of equal cells; the first run, which may be 0, is empty cells."""
     flat = np.concatenate([[False], seen.ravel()])
     ends = np.append(np.flatnonzero(flat[1:] != flat[:-1]), seen.size)
     return [int(ends[0]), *(int(after - before) for before, after in pairwise(ends))]
 
 
 class _Fields:
-    """An object of the file; a ValueError names the field that is not what it must be."""
+    """An object of the file; a ValueError names the invalid field."""
 
     def __init__(self, content: object, name: str):
         if not isinstance(content, dict):
@@ -225,7 +226,7 @@ class _Fields:
                 for value in self._list(field, count)]
 
     def time_s(self, field: str) -> float:
-        """Return a time; NaN for null, which is not known."""
+        """Return a time; NaN for null, which means unknown."""
         if self._value(field) is None:
             return math.nan
         return self.number(field, -_MOST_TIME_S, _MOST_TIME_S)
@@ -254,7 +255,7 @@ class _Fields:
 
     def _checked(self, field: str, value: Any, least: float, most: float,
                  kinds: tuple[type, ...]) -> Any:
-        # Of Python, true is a number; NaN is not within any limits.
+        # In Python, true is a number; NaN is outside any limits.
         if type(value) not in kinds or not least <= value <= most:
             kind = 'number' if float in kinds else 'whole number'
             raise self._not(field, value, f'a {kind} from {least:g} to {most:g}')
@@ -310,7 +311,7 @@ def _plane(row: _Fields, most_cells: int) -> MapPlane:
 
 
 def _covariance(kept: _Fields) -> np.ndarray:
-    """Return a covariance that is positive definite, however it is scaled."""
+    """Return a covariance that is positive definite whatever its scale."""
     covariance = kept.array('covariance', (3, 3), -_MOST_VARIANCE, _MOST_VARIANCE)
     variances = np.diag(covariance)
     if variances.min() >= _LEAST_VARIANCE:
@@ -324,7 +325,7 @@ def _covariance(kept: _Fields) -> np.ndarray:
 
 
 def _cells(kept: _Fields, most: int) -> Cells:
-    """Return the cells, whose number is known before they are made."""
+    """Return the cells, whose number is checked before they are created."""
     low = kept.wholes('low', -MOST_CELLS, MOST_CELLS, 2)
     columns = kept.whole('columns', 0, 2 * MOST_CELLS)
     runs = kept.wholes('runs', 0, most, most + 1)

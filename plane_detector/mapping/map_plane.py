@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""A plane of the map: heights with covariance over a frame, and the cells where it was seen."""
+"""A plane of the map: heights with covariance over a frame, and its observed cells."""
 
 from __future__ import annotations
 
@@ -25,25 +25,25 @@ class MapPlane:
     label: int  # above 0, never used again
     # Frame of the coefficients and cells, in the frame of the map; it never moves.
     origin_m: np.ndarray  # (3,) float64
-    axes: np.ndarray  # (3, 3) float64: rows u, v and normal, which points to the side seen
+    axes: np.ndarray  # (3, 3) float64: rows u, v and normal, which points to the observed side
     coefficients: np.ndarray  # (3,) float64: the height is a u + b v + c, metres
     covariance: np.ndarray  # (3, 3) float64
     cells: Cells
-    views: int  # images in which it was found
+    views: int  # images in which it was detected
     first_seen_s: float
     last_seen_s: float
-    first_image: int  # number of the image in which it was first found
+    first_image: int  # number of the image in which it was first detected
     votes: np.ndarray  # (CLASSES,) float64, weight of the images that gave it each class
-    apart: frozenset[int] = frozenset()  # labels of planes that one image showed beside it
+    apart: frozenset[int] = frozenset()  # labels of planes that one image showed separately
 
     @property
     def plane_class(self) -> PlaneClass:
-        """The class with most votes."""
+        """The class with the most votes."""
         return PlaneClass(int(np.argmax(self.votes)))
 
     @property
     def centroid_m(self) -> np.ndarray:
-        """Mean of the cells in which it is seen, (3,), in the frame of the map."""
+        """Mean of its cells, (3,), in the frame of the map."""
         return self.points(self.cells.centroid_m[None])[0]
 
     def points(self, flat_m: np.ndarray) -> np.ndarray:
@@ -92,7 +92,7 @@ def as_planes(planes: Sequence[MapPlane]) -> Planes:
     """
     Return planes in the frame of the map as arrays.
 
-    Counts are of cells; their confidence is the share of the looks at them that were hits.
+    Counts are numbers of cells; the confidence is the share of their observations that were hits.
     """
     frames = frames_of(planes)
     normals, offsets_m, covariances = frames.as_planes()

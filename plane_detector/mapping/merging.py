@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Planes of the map that turn out to be one surface become one."""
+"""Merging of planes of the map that turn out to be one surface."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ from plane_detector.mapping.heights import heights_of, squared_misfits
 from plane_detector.mapping.map_plane import MapPlane, as_planes, frames_of
 from plane_detector.mapping.registration import GATE
 
-# chosen: what a robot takes for one surface; steps of 2 cm stay by chi-squared or as shown apart.
+# chosen: one surface for a robot; chi-squared, or images that show both planes, keep steps of 2
+# cm.
 _MOST_DISTANCE_M = 0.03
 _MIN_COSINE = np.cos(np.radians(10.0))
 _CONTACT_POINTS = 64
@@ -28,7 +29,7 @@ def merge_touched(planes: Sequence[MapPlane], touched: np.ndarray, up: np.ndarra
     """
     Merge planes that an image has changed, by their labels (K,), with others of the same surface.
 
-    Return all planes, and of each label that is gone that of the plane it is part of now.
+    Return all planes, and for each label that disappeared the plane that it is part of now.
     """
     known, gone = {plane.label: plane for plane in planes}, {}
     frames, labels = frames_of(planes), np.array([plane.label for plane in planes], int)
@@ -42,7 +43,7 @@ def merge_touched(planes: Sequence[MapPlane], touched: np.ndarray, up: np.ndarra
     close[np.arange(len(own)), own] = False
     touched_k, others_k = np.nonzero(close)
     pairs = np.stack([own[touched_k], others_k])
-    # Most differ: what is left is compared one by one, as each merge changes the next.
+    # Most pairs differ; the rest are compared one by one, because each merge changes the next.
     larger, smaller = np.take_along_axis(pairs, np.argsort(-found.counts[pairs], axis=0), axis=0)
     heights, covariances, _ = heights_of(frames.picked(larger), found, smaller)
     alike = squared_misfits(frames.picked(larger), heights, covariances) < GATE
@@ -92,7 +93,7 @@ def _are_one(larger: MapPlane, smaller: MapPlane, up: np.ndarray) -> bool:
 
 
 def _joined(larger: MapPlane, smaller: MapPlane, cells: Cells) -> MapPlane:
-    """Return a plane with these cells and the information of both, in the larger one's frame."""
+    """Return the larger plane with these cells, and with the information of both."""
     heights, covariances, _ = heights_of(frames_of([larger]), as_planes([smaller]), _ONE)
     information = np.linalg.inv([larger.covariance, covariances[0]])
     joint = np.linalg.inv(information.sum(axis=0))
@@ -106,7 +107,7 @@ def _joined(larger: MapPlane, smaller: MapPlane, cells: Cells) -> MapPlane:
 
 
 def _joined_cells(larger: MapPlane, smaller: MapPlane, most: int) -> Cells | None:
-    """Return the cells of both; None if there would be more new ones than ``most``."""
+    """Return the cells of both; None if that would add more than ``most`` cells."""
     (left, top), (rows, columns) = smaller.cells.low, smaller.cells.hits.shape
     corners = np.array([[u, v] for u in (left, left + columns) for v in (top, top + rows)])
     flat_m = larger.flat(smaller.points(smaller.cells.size_m * corners))

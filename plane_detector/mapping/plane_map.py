@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""One lasting plane for one surface, from the planes of images and the poses of their camera."""
+"""One persistent plane per surface, from the planes of images and the poses of their camera."""
 
 from __future__ import annotations
 
@@ -48,46 +48,47 @@ from plane_detector.types import CameraIntrinsics, Detection, Planes
 
 # The plane fitted to an exact surface differs by this, 1/m: rounding of depth and poses.
 _LEAST_SYSTEMATIC = 1.5e-4
-# chosen: rows on which points of found planes are sampled; the smallest plane that is found, of
-# .3 % of the pixels, has about fifteen.
+# chosen: rows on which points of detected planes are sampled; the smallest detectable plane, of .3
+# % of the pixels, has about fifteen.
 _ROWS = 60
 FORGETTING = 0.95
-# chosen: of the average of the jitter of the poses, over some twenty images.
+# chosen: weight of a new image in the average of the jitter of the poses, over some twenty images.
 SMOOTHING = 0.95
-# chosen: images of which the median is the systematic error of the sensor.
+# chosen: number of images whose median is the systematic error of the sensor.
 _RECENT = 20
-# chosen: a view counts at least so much, however large the systematic error of the sensor is.
+# chosen: least weight of a view, however large the systematic error of the sensor is.
 _LEAST_NEWS = 0.1
-# What a network's depth is off and no residual shows, the same over a plane and in the next ones:
-# standard deviations of its distance, as a share, and of its normal about each axis.
+# Errors of a network's depth that the residuals do not reveal, because they are the same over a
+# plane and in the next images: standard deviations of the distance, as a share, and of the normal
+# about each axis.
 # tuned: FastDepth on the odd images of kinect_walk, error over stated deviation of the distance,
 # median: .15 1.8, .2 1.5; .1 with 3 degrees 2.7 (docs/results.md, "The map of planes").
 _NETWORK_SHARE, _NETWORK_TILT_RAD = 0.2, np.radians(5.0)
 # A view counts fully if the camera has moved this far since the last image.
 _MOVED_M, _TURNED_RAD = 0.05, np.radians(3.0)
-# A plane becomes one of the map if its normal is known within this.
+# A plane is added to the map if its normal is known within this.
 _MOST_TILT_RAD = np.radians(5.0)
-# A cell is hidden or gone if its pixel is this far off the plane, and by its noise.
+# A cell is hidden or gone if its pixel is farther off the plane than this plus its noise.
 _TOLERANCE_M = 0.03
-# A jump explains so many times as many pixels, in this many images in a row.
+# A jump must explain this many times as many pixels, in this many consecutive images.
 _JUMP_GAIN, _JUMP_IMAGES = 1.2, 2
-# Of the image, what is unexplained although a known plane is there, before a jump is tried.
+# Share of the image that is unexplained although a known plane is there, before a jump is tried.
 _UNEXPLAINED = 0.1
-# A found plane shows the map's plane if they share so much of the smaller one.
+# A detected plane shows the plane of the map if they share this much of the smaller one.
 _SAME_PLACE = 0.3
-# A plane that was found in one image only is dropped after so many.
+# A plane that was detected in only one image is dropped after this many.
 _FORGOTTEN_IMAGES = 30
 
 
 @dataclass(frozen=True)
 class MapUpdate:
-    """What an image has changed."""
+    """The changes made by an image."""
 
-    labels: np.ndarray  # (K,) int, label in the map of each found plane, 0 none
+    labels: np.ndarray  # (K,) int, label in the map of each detected plane, 0 none
     explained: float  # share of the pixels of its planes that known planes explain
-    jump_m: float = 0.0  # by how much the poses have jumped; 0: they have not
-    subsumed: Mapping[int, int] = field(default_factory=dict)  # label: the one it is part of now
-    is_full: bool = False  # planes were left out or do not grow: there is too much already
+    jump_m: float = 0.0  # size of a jump of the poses; 0: no jump
+    subsumed: Mapping[int, int] = field(default_factory=dict)  # label: the one it is now part of
+    is_full: bool = False  # planes were left out or do not grow, because the map is full
 
 
 @dataclass(frozen=True)
@@ -95,7 +96,7 @@ class MapSnapshot:
     """The map after an image."""
 
     surfaces: tuple[MapPlane, ...]
-    planes: Planes  # the same in the frame of the poses, where the last pose sees them
+    planes: Planes  # the same in the frame of the poses, according to the last pose
     to_poses: RigidTransform  # from the frame of the map
 
 
@@ -123,7 +124,7 @@ class PlaneMap:
         self.clear()
 
     def clear(self) -> None:
-        """Discard all planes and the correction; labels are not used again."""
+        """Discard all planes and the correction; labels are never reused."""
         self.planes: tuple[MapPlane, ...] = ()
         self.correction = Correction.none()
         self.images = 0
@@ -140,7 +141,7 @@ class PlaneMap:
         Raises
         ------
         ValueError
-            The pose or the unit of the depth is not known.
+            The pose or the unit of the depth is unknown.
 
         """
         if placed.pose is None:
@@ -149,12 +150,12 @@ class PlaneMap:
             raise ValueError('there is no map without metres, and the scale of the depth is not '
                              'known: see scale.method')
         load_once('mapping')
-        # The systematic error belongs to the sensor; single images show far too much of it.
+        # The systematic error belongs to the sensor; single images overestimate it by far.
         self._systematic.append(placed.detection.systematic_noise)
         image = _Image.of(placed, max(median(self._systematic), _LEAST_SYSTEMATIC))
         # 1. The pose with the carried correction.
         prediction = predict(self.correction, placed.pose, self.config)
-        # 2. to 5. Planes in view, candidates, the correction by them, candidates again.
+        # 2. to 5. Planes in view, candidates, correction from them, candidates again.
         attempt = self._registered(prediction, image)
         jump_m = 0.0
         if attempt.unexplained > _UNEXPLAINED:
@@ -167,28 +168,28 @@ class PlaneMap:
                 jump_m = motion(prediction.camera, wide.correction.camera)[0]
                 attempt = wide
         self._jump_images = 0
-        # 6. Found planes are assigned; two that this image shows apart stay apart.
+        # 6. Assign detected planes; two planes that this image shows separately stay separate.
         before, self.correction = self.correction, attempt.correction
         self._note_jitter(attempt.correction)
         self.images += 1
         if image.down is not None:
             self.up = -attempt.correction.camera.rotation @ image.down
-        # 7. and 8. Fuse them; vote the cells.
+        # 7. and 8. Fuse them; vote on the cells.
         self.planes, labels, is_full = self._fused(attempt, image, self._weight(before))
-        # 9. Merge what is one surface.
+        # 9. Merge planes of one surface.
         self.planes, subsumed = merge_touched(self.planes, labels, self.up)
-        # 10. Drop what has no cells left, or was seen only once.
+        # 10. Drop planes without cells, or seen only once.
         self.planes = self._kept()
         labels = np.array([subsumed.get(label, label) for label in labels.tolist()], int)
         return MapUpdate(labels, attempt.explained, jump_m, subsumed, is_full)
 
     @property
     def sure(self) -> tuple[MapPlane, ...]:
-        """The planes that were found again."""
+        """The planes that were detected again."""
         return tuple(plane for plane in self.planes if plane.views > 1 or self.images < 2)
 
     def snapshot(self) -> MapSnapshot:
-        """Return the planes that are sure, where the last pose sees them."""
+        """Return the confirmed planes, according to the last pose."""
         sure = self.sure
         # The error of the correction is common to all planes that the last image does not show.
         planes = as_planes([replace(plane, covariance=self._relative.get(
@@ -203,7 +204,7 @@ class PlaneMap:
 
     def save(self, path: Path, frame_id: str, stamp_s: float) -> None:
         """
-        Write the planes that are sure to a file, whole or not at all.
+        Write the confirmed planes to a file, completely or not at all.
 
         Raises
         ------
@@ -225,14 +226,14 @@ class PlaneMap:
         """
         Replace the map by that of a file; on an error it stays as it is.
 
-        The poses may since be off by as much as a jump.
+        Since then, the poses may have changed by as much as a jump.
 
         Raises
         ------
         OSError
             The file cannot be read.
         ValueError
-            It is no whole map, or of another frame, of other cells or a later version.
+            The map is incomplete, in another frame, with other cells, or of a later version.
 
         """
         saved = read_map(path, frame_id)
@@ -246,16 +247,16 @@ class PlaneMap:
         self._next_label = max([self._next_label, *(1 + plane.label for plane in saved.planes)])
 
     def _note_jitter(self, correction: Correction) -> None:
-        """Average how far the pose of an image is off the carried one, over some twenty images."""
+        """Average the difference of poses from the carried one over some twenty images."""
         camera, lasting = correction.camera, correction.lasting.after(correction.pose)
         off_m = np.linalg.norm(camera.translation_m - lasting.translation_m)
         self.jitter_m = float(np.sqrt(SMOOTHING * self.jitter_m**2 + (1 - SMOOTHING) * off_m**2))
 
     def _registered(self, prediction: Prediction, image: _Image) -> _Attempt:
-        """Return the correction of an image by the planes of the map, and which ones it shows."""
+        """Return the correction of an image from the map, and the planes that it shows."""
         all_frames = frames_of(self.planes)
         correction = register(prediction, image.found, all_frames, np.zeros(0, int))
-        # Under the predicted pose, then under the one registered to what fits to it.
+        # Under the predicted pose, then under the pose registered to the planes that fit it.
         for is_last in (False, True):
             camera = correction.camera
             view = image.view(camera)
@@ -282,7 +283,7 @@ class PlaneMap:
 
     def _fused(self, attempt: _Attempt, image: _Image, weight: float
                ) -> tuple[tuple[MapPlane, ...], np.ndarray, bool]:
-        """Return the planes after an image, the label of each found plane, and whether full."""
+        """Return the planes after an image, the label of each detected plane, and whether full."""
         planes, taken = list(self.planes), attempt.taken.copy()
         self._relative = self._fuse(planes, attempt, image, weight)
         is_new = (taken < 0) & image.is_clear
@@ -298,10 +299,10 @@ class PlaneMap:
     def _fuse(planes: list[MapPlane], attempt: _Attempt, image: _Image, weight: float
               ) -> dict[int, np.ndarray]:
         """
-        Fuse the found planes that are in the map with them, in place.
+        Fuse the detected planes with their planes of the map, in place.
 
-        By the sum of information; what is known loses its share by the forgetting. Return the
-        covariance (3, 3) of each, relative to the camera, by label.
+        Information is summed; known information is reduced by forgetting. Return the covariance
+        (3, 3) of each plane, relative to the camera, by label.
         """
         shown = np.flatnonzero(attempt.taken >= 0)
         old, place = np.unique(attempt.taken[shown], return_inverse=True)
@@ -322,8 +323,8 @@ class PlaneMap:
             plane = planes[index]
             planes[index] = replace(plane, coefficients=coefficients[k], covariance=joint[k],
                                     votes=plane.votes + votes[k])
-        # Pose and plane move together by what the image shows: relative to the camera, a plane in
-        # view is off by less than the sum of both errors. For any gain (Joseph).
+        # An observation corrects pose and plane together: relative to the camera, the error of a
+        # plane in view is less than the sum of both errors. For any gain (Joseph).
         own = frames.covariances[place]
         gain = (by_pose + weight * own) @ np.linalg.inv(own + covariances)
         rest = np.eye(3) - gain
@@ -332,7 +333,7 @@ class PlaneMap:
         return {planes[attempt.taken[k]].label: seen[m] for m, k in enumerate(shown.tolist())}
 
     def _new(self, attempt: _Attempt, image: _Image, fresh: np.ndarray) -> list[MapPlane]:
-        """Return planes of the map for found planes that are not in it yet."""
+        """Return planes of the map for detected planes that are not in it yet."""
         if not len(fresh):
             return []
         found = attempt.found
@@ -351,7 +352,7 @@ class PlaneMap:
 
     def _vote(self, planes: list[MapPlane], attempt: _Attempt, image: _Image,
               taken: np.ndarray, labels: np.ndarray) -> bool:
-        """Vote the cells of the planes in view, in place; return whether some cannot grow."""
+        """Vote on the cells of the planes in view, in place; return whether some cannot grow."""
         in_view = np.union1d(attempt.index, taken[taken >= 0])
         frames = frames_of([planes[k] for k in in_view])
         own = np.where(taken >= 0, np.searchsorted(in_view, taken), -1)
@@ -384,7 +385,7 @@ class PlaneMap:
         return has_too_large
 
     def _weight(self, before: Correction) -> float:
-        """Return how much a view counts, 0 to 1, by how far the camera has moved."""
+        """Return the weight of a view, 0 to 1, by how far the camera has moved."""
         if before.pose is None:
             return 1.0
         way_m, turn_rad = motion(before.camera, self.correction.camera)
@@ -398,26 +399,26 @@ class PlaneMap:
             plane.views > 1 or self.images - plane.first_image < _FORGOTTEN_IMAGES))
         if len(kept) == len(self.planes):
             return kept
-        # Nor are labels of what has gone kept, whose number would grow for ever.
+        # Labels of removed planes are dropped too; their number would grow for ever.
         labels = frozenset(plane.label for plane in kept)
         return tuple(replace(plane, apart=plane.apart & labels) for plane in kept)
 
 
 @dataclass(frozen=True)
 class _Image:
-    """An image as the map needs it, in the frame of the camera."""
+    """An image in the form that the map needs, in the frame of the camera."""
 
     placed: PlacedDetection
     found: Planes
     # The same without the systematic error of the sensor. Planes of one image, and of the next,
-    # have most of it in common: it says little about whether two of them are one.
+    # share most of it, so it says little about whether two of them are one.
     sharp: Planes
     apart: np.ndarray  # (K, K) bool, not one plane, whatever the pose is
     beside: np.ndarray  # (K, K) bool, of these those on the same side
-    points_m: np.ndarray  # (N, 3) on the found planes, one after another
-    ends: np.ndarray  # (K + 1,) int, where those of each begin and end
+    points_m: np.ndarray  # (N, 3) on the detected planes, one after another
+    ends: np.ndarray  # (K + 1,) int, start and end of those of each
     noise: float  # standard deviation of the disparity, 1/m
-    news: np.ndarray  # (K,) how much a view of each counts for the sum over views
+    news: np.ndarray  # (K,) weight of a view of each in the sum over views
     is_clear: np.ndarray  # (K,) bool, the normal is known well enough for a plane of the map
 
     @classmethod
@@ -471,9 +472,9 @@ class _Attempt:
     points_m: np.ndarray  # (N, 3) those of the image
     index: np.ndarray  # (M,) int, planes of the map that are in view
     taken: np.ndarray  # (K,) int, plane of the map, -1 none
-    evidence: np.ndarray  # (K,) int, that by which the correction was found
-    explained: float  # share of the pixels of the found planes
-    unexplained: float  # ... and of those that do not fit although a known plane is there
+    evidence: np.ndarray  # (K,) int, the one used for the correction
+    explained: float  # share of the pixels of the detected planes
+    unexplained: float  # ... and of pixels that do not fit although a known plane is there
 
 
 def found_planes(detection: Detection, intrinsics: CameraIntrinsics, systematic: float
@@ -501,7 +502,7 @@ def found_planes(detection: Detection, intrinsics: CameraIntrinsics, systematic:
 
 
 def _with_network_error(planes: Planes) -> Planes:
-    """Add what a network is off: a turn about the centroid, and a share of the distance."""
+    """Add the errors of a network: a rotation about the centroid, a share of the distance."""
     turn = np.diag([_NETWORK_TILT_RAD**2] * 3 + [0.0] * 3)
     covariances = with_pose_error(planes, turn, planes.centroids_m).covariances
     covariances[:, 3, 3] += (_NETWORK_SHARE * planes.offsets_m) ** 2

@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-The correction of the poses: where the map is in their frame, carried from image to image.
+The correction of the poses, carried from image to image: the place of the map in their frame.
 
-A pose that is given is off by a drift, which stays, and by jitter, which is new in each image.
-Both are Gaussian; planes that are found again measure their sum [Kaess 2015 registers to planes of
-a map in the same way; here their coefficients are heights].
+The error of a given pose is the sum of a drift, which persists, and of jitter, which is new in
+each image. Both are Gaussian; re-observed planes measure their sum [Kaess 2015 registers to planes
+of a map in the same way; here their coefficients are heights].
 
 References
 ----------
@@ -30,7 +30,7 @@ from plane_detector.mapping.heights import (
 )
 from plane_detector.types import Planes
 
-# chosen: errors of the translation move a plane at this distance as far as those of the rotation.
+# chosen: at this distance, errors of the translation move a plane as far as those of the rotation.
 TYPICAL_M = 2.0
 # derived: the quantile .999 of chi-squared with three degrees of freedom.
 GATE = 16.27
@@ -65,7 +65,7 @@ class Correction:
 
     @classmethod
     def loaded(cls, transform: RigidTransform) -> Correction:
-        """Return that of a saved map: the next pose may be off as after a jump."""
+        """Return the correction of a saved map: the next pose may be off as after a jump."""
         return cls(transform, _JUMP, transform, _JUMP)
 
     @property
@@ -74,14 +74,14 @@ class Correction:
         return self.transform.after(self.pose)
 
     def size(self) -> tuple[float, float]:
-        """Return by how much it moves the camera, in metres, and turns it, in degrees."""
+        """Return how far it moves the camera, in metres, and rotates it, in degrees."""
         moved = self.camera.translation_m - self.pose.translation_m if self.pose else np.zeros(3)
         return float(np.linalg.norm(moved)), float(np.degrees(angle_rad(self.transform.rotation)))
 
 
 @dataclass(frozen=True)
 class Prediction:
-    """What is known of the pose of an image before its planes are compared with the map."""
+    """What is known about the pose of an image before its planes are compared with the map."""
 
     transform: RigidTransform  # from the frame of the poses to that of the map
     pose: RigidTransform  # given
@@ -94,7 +94,7 @@ class Prediction:
         return self.transform.after(self.pose)
 
     def widened(self) -> Prediction:
-        """Return it for a pose that may have jumped."""
+        """Return the prediction for a pose that may have jumped."""
         return replace(self, drift=self.drift + _JUMP, covariance=self.covariance + _JUMP)
 
 
@@ -102,7 +102,8 @@ def predict(before: Correction, pose: RigidTransform, config: MapConfig) -> Pred
     """
     Return the prediction for the next image.
 
-    The variance of the drift grows with the way, whatever the rate of images is.
+    The variance of the drift is proportional to the distance travelled, whatever the rate of
+    images.
     """
     if before.pose is None:
         return Prediction(before.lasting, pose, before.drift, before.drift)
@@ -119,7 +120,7 @@ def predict(before: Correction, pose: RigidTransform, config: MapConfig) -> Pred
 def register(prediction: Prediction, found: Planes, frames: PlaneFrames, index: np.ndarray
              ) -> Correction:
     """
-    Return the correction under which found planes fit to those of the map best.
+    Return the correction under which detected planes fit the planes of the map best.
 
     Gauss-Newton over the six unknowns, with robust weights and the prior.
 
@@ -131,7 +132,7 @@ def register(prediction: Prediction, found: Planes, frames: PlaneFrames, index: 
     frames : PlaneFrames
         Planes of the map, M.
     index : (M,) int
-        The found plane that is each of them.
+        The detected plane for each of them.
 
     """
     if not len(index):
@@ -148,7 +149,7 @@ def register(prediction: Prediction, found: Planes, frames: PlaneFrames, index: 
         total = total + step
         transform = _moved(transform, step, centre_m)
     error = np.linalg.inv(information)
-    # What of the sum is drift: the linear filter of two Gaussians of which the sum was measured.
+    # The part of the sum that is drift: the linear filter of two Gaussians whose sum was measured.
     gain = prediction.drift @ prior
     drift = prediction.drift - gain @ (prediction.covariance - error) @ gain.T
     return Correction(transform, error, _moved(prediction.transform, gain @ total, centre_m),
@@ -159,10 +160,10 @@ def heights_by_others(correction: Correction, frames: PlaneFrames, found: Planes
                       index: np.ndarray, is_evidence: np.ndarray
                       ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """
-    Return found planes as heights over those of the map, each by the pose that the others give.
+    Return detected planes as heights over those of the map, each with the pose from the others.
 
-    A plane is no evidence of itself: with the pose that it has helped to find, it would agree with
-    the map, and the map would become surer than it is.
+    A plane is not evidence for itself: with a pose that it has helped to estimate, it would agree
+    with the map, and the map would become overconfident.
 
     Parameters
     ----------
@@ -172,16 +173,16 @@ def heights_by_others(correction: Correction, frames: PlaneFrames, found: Planes
     found : Planes
         In the frame of the map.
     index : (M,) int
-        The found plane that is each of them.
+        The detected plane for each of them.
     is_evidence : (M,) bool
-        Whether the correction is by this pair, too.
+        Whether this pair was used for the correction.
 
     Returns
     -------
     coefficients : (M, 3) float64
     covariances : (M, 3, 3) float64
     pose : (M, 3, 3) float64
-        The part of them that is by the error of the pose.
+        The part of them that is due to the error of the pose.
 
     """
     heights, alone, jacobians = heights_of(frames, found, index,
@@ -199,7 +200,7 @@ def heights_by_others(correction: Correction, frames: PlaneFrames, found: Planes
 
 
 def motion(before: RigidTransform, after: RigidTransform) -> tuple[float, float]:
-    """Return how far a camera has moved and turned between two poses, m and radians."""
+    """Return how far a camera has moved and rotated between two poses, m and radians."""
     return (float(np.linalg.norm(after.translation_m - before.translation_m)),
             angle_rad(after.rotation @ before.rotation.T))
 
@@ -210,7 +211,7 @@ def angle_rad(rotation: np.ndarray) -> float:
 
 
 def _moved(transform: RigidTransform, step: np.ndarray, centre_m: np.ndarray) -> RigidTransform:
-    """Turn a transform about a point of the map, then shift it."""
+    """Rotate a transform about a point of the map, then shift it."""
     rotation = cv2.Rodrigues(step[:3])[0]
     return RigidTransform(rotation, centre_m + step[3:] - rotation @ centre_m).after(transform)
 

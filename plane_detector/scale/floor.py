@@ -32,7 +32,7 @@ class FloorFit:
 
     scale: float
     shift: float
-    covariance: np.ndarray  # (2, 2) float64, by the errors of the shift and of gravity
+    covariance: np.ndarray  # (2, 2) float64, from the errors of the shift and of gravity
     label: int  # index of the floor's plane
 
 

@@ -5,10 +5,10 @@ Scale methods: from a disparity of unknown scale and shift to metres, 1/z = scal
 
 A method estimates both, or refuses with a reason. ``auto`` uses the first method that gives
 metres, in this order: metres of the network, measured depth, height of the camera above the floor,
-the same with a vertical that is only the planes' own, given numbers. Without a height, planes and
-vertical, or axes of which any may be the vertical, determine only the shift: angles are then true,
-but the unit is unknown. If no method succeeds, both are unknown: ``relative``. Metres that are too
-uncertain are not given.
+the same with a vertical that comes only from the planes, stated numbers. Without a height, planes
+together with the vertical, or with axes any of which may be the vertical, determine only the
+shift: angles are then true, but the unit is unknown. If no method succeeds, both are unknown:
+``relative``. Metres that are too uncertain are not reported.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ from plane_detector.scale.sensor_depth import fit_measured_depth
 from plane_detector.scale.shift_posterior import ShiftEstimate, estimate_shift, frames_about
 from plane_detector.types import METRIC, RELATIVE, ScaleEstimate
 
-# The tolerance of gravity is so many standard deviations.
+# The tolerance of gravity in standard deviations.
 COARSE_GRAVITY_DEG, TOLERANCE_SIGMAS = 5.0, 2.0
 # Of axes that planes have in common. chosen: twice the error of buildings.
 OWN_TOLERANCE_DEG = 2.0
-# Metres more uncertain than this, as a share of depth, are not given. chosen: obstacles a third
-# nearer or farther than stated help nobody.
+# Metres more uncertain than this, as a share of depth, are not reported. chosen: obstacles a third
+# nearer or farther than stated are useless.
 MAX_UNCERTAINTY = 0.3
 # The farthest pixels are those at this quantile, so that noise at the horizon does not count.
 FAR_QUANTILE = 0.01
@@ -264,7 +264,7 @@ def apply_scale(disparity: np.ndarray, estimate: ScaleEstimate,
     """
     Return the depth (H, W) float32 of a disparity (H, W), NaN where invalid.
 
-    So is what is farther than ``max_depth_m``, if the unit is the metre.
+    Depth beyond ``max_depth_m`` is invalid if the unit is the metre.
     """
     farthest = max_depth_m if estimate.is_metric else MAX_RELATIVE_DEPTH
     inverse = np.float32(estimate.scale) * disparity + np.float32(estimate.shift)

@@ -11,7 +11,7 @@ The normal of a plane (p, q, r) of D = p x + q y + r is proportional to (p, q, r
 2. Each proposal is scored by the pixels of all planes perpendicular to its axes.
 3. The best one is fitted to its planes: the shift, and a rotation of the axes.
 4. A room without right angles leaves many planes off the axes, or has several shifts with similar
-   scores; there is no answer then.
+   scores; then there is no answer.
 """
 
 from __future__ import annotations
@@ -35,8 +35,9 @@ MIN_DISTINCT_PLANES = 3
 MAX_UNSURE_DEG = 5.0
 # The answer is ambiguous if another shift has this share of the votes.
 RIVAL_SHARE = 0.85
-# Also if another one has as many planes horizontal or vertical, within this share of the pixels: a
-# low camera in a hexagonal room sees a floor that is horizontal for any shift.
+# It is also ambiguous if another shift makes as many planes horizontal or vertical, within this
+# share of the pixels: a low camera in a hexagonal room sees a floor that is horizontal for any
+# shift.
 UPRIGHT_MARGIN = 0.03
 ROUNDS = 6
 
@@ -151,7 +152,7 @@ def _votes(scored: _ScoredShifts) -> np.ndarray:
 
 
 def _refined(planes: DisparityPlanes, best: _ScoredShifts) -> tuple[_ScoredShifts, float]:
-    """Fit a shift to the planes along its axes, which turn with them; with its sigma."""
+    """Fit a shift to the planes along its axes, which rotate with them; with its sigma."""
     for _ in range(ROUNDS):
         raw, sigma_deg = _normals(planes, best.tau)
         length, normals = np.linalg.norm(raw[0], axis=1)[:, None], unit_vectors(raw[0])
@@ -176,7 +177,7 @@ def _refined(planes: DisparityPlanes, best: _ScoredShifts) -> tuple[_ScoredShift
 
 
 def _turn_deg(planes: DisparityPlanes, tau: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Return the angle by which each plane turns from a shift (1,) to others, (C, N) degrees."""
+    """Return the rotation of each plane between a shift (1,) and others, (C, N) degrees."""
     here, there = (unit_vectors(planes.normals(one)) for one in (tau, other))
     return np.degrees(np.arccos((here * there).sum(-1).clip(-1, 1)))
 
@@ -197,7 +198,7 @@ def _objection(planes: DisparityPlanes, best: _ScoredShifts, shifts: _ScoredShif
     unsure_deg = _turn_deg(planes, best.tau, best.tau + sigma)[0, large].max(initial=0.0)
     if unsure_deg > MAX_UNSURE_DEG:
         return f'the right angles leave the angle of a plane uncertain by {unsure_deg:.0f} degrees'
-    # Which shifts turn the planes too far to be the same.
+    # Shifts that rotate the planes too far to count as the same.
     apart = _turn_deg(planes, best.tau, shifts.tau) @ planes.pixel_share > MAX_TOLERANCE_DEG
     if _votes(shifts)[apart].max(initial=0.0) > RIVAL_SHARE * _votes(best)[0]:
         return 'another shift gives as many right angles'

@@ -3,10 +3,10 @@
 """
 Scale and shift of a disparity from measured depth of the same camera, sparse or dense.
 
-D = alpha / z + beta is fitted with the measured 1/z as the exact variable, because the error is
-that of the network. The start is the median of slopes over distant pairs of points (after Theil,
-Sen and Siegel; robust against a quarter of wrong points), refined by least squares with Tukey's
-weights.
+D = alpha / z + beta is fitted with the measured 1/z as the exact variable, because the network
+causes the error. The initial value is the median of slopes over distant pairs of points (after
+Theil, Sen and Siegel; robust against a quarter of wrong points), refined by least squares with
+Tukey's weights.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ ITERATIONS = 10
 INDEPENDENT_POINTS = 300
 # Without near and far points the scale is more uncertain than this.
 MAX_SCALE_SIGMA_SHARE = 0.1
-# Weighted squares of 1/z about their mean, at least: nothing is divided by 0.
+# Lower bound of the weighted squares of 1/z about their mean, to avoid division by 0.
 MIN_SPREAD = 1e-30
 
 

@@ -3,25 +3,25 @@
 """
 Posterior of the shift of a disparity, from all its planes and the directions of the scene.
 
-With 1/z proportional to D + tau, the plane D = p x + q y + r of ray slopes has the normal
-(p, q, r + tau) / m. Known are the vertical and, perhaps, horizontal axes; or axes of which any may
-be the vertical.
+With 1/z proportional to D + tau, the plane D = p x + q y + r of ray slopes has the normal (p, q, r
++ tau) / m. Either the vertical and possibly horizontal axes are known, or axes any of which may be
+the vertical.
 
-1. Each plane is level, across a horizontal axis, upright or anything. The density of its normal is
-   a mixture of these: a bell on the sphere about each direction, one about the great circle of
+1. Each plane is level, across a horizontal axis, upright, or arbitrary. The density of its normal
+   is a mixture of these: a bell on the sphere about each direction, one about the great circle of
    upright planes, and a uniform density.
-2. The error of a normal has three parts: that of the fit; that of buildings; and that of the
-   network, which is unknown and therefore summed over some values. It is an error of the slopes of
-   the disparity, so that it is smaller in the angle where m is larger.
-3. Slopes are seen, not normals: the density is that of the normal times w / m^3, with w = D + tau
-   at the centre of the plane. This is what makes flat worlds unlikely: for a large shift all
-   planes turn to the camera, and that all slopes are so small would be chance.
-4. The prior is that of the ratio of the farthest to the nearest depth.
-5. The vertical is uncertain, too: the likelihood is the mean over some verticals about it, each
-   with all planes, so that its error is common to them. Where it is open which of the axes of the
-   scene it is, these are verticals about each of them.
-6. The answer is the median. Its uncertainty grows with the angle by which planes turn from there
-   to the shifts of the posterior, so that a second mode counts as much as the width of the first.
+2. The error of a normal has three parts: fit, buildings, and network. The last one is unknown and
+   therefore summed over several values. It is an error of the slopes of the disparity, so the
+   angular error decreases as m grows.
+3. Slopes are observed, not normals: the density is that of the normal times w / m^3, with w = D +
+   tau at the centre of the plane. This makes flat worlds unlikely: for a large shift all planes
+   turn toward the camera, and it would be a coincidence if all slopes were so small.
+4. The prior is a prior on the ratio of the farthest to the nearest depth.
+5. The vertical is uncertain too: the likelihood is the mean over several verticals about it, each
+   with all planes, so that its error is common to them. Where it is undecided which axis of the
+   scene it is, these are verticals about each axis.
+6. The answer is the median. Its uncertainty grows with the angle by which planes rotate between it
+   and the shifts of the posterior, so that a second mode counts as much as the width of the first.
 """
 
 from __future__ import annotations
@@ -53,11 +53,12 @@ SLOPE_DENSITY = 0.5
 # to 1.2.
 PRIOR_LOGIT, PRIOR_SPREAD = -0.3, 1.0
 # Distances of the shift from its least value, in spreads of the disparity, and points of the grid;
-# the second grid covers what is left of the first.
+# the second grid refines the remaining part of the first.
 REACH, COARSE_POINTS, FINE_POINTS, NEGLIGIBLE = (0.004, 8.0), 48, 64, 1e-3
-# Error of angles: this share of the spread of the posterior, which is too wide as planes have at
-# most one vote each, and what remains without. tuned: 241 disparities with the errors of networks,
-# true over stated 0.8 to 1.1 in bins from 1 to 5 degrees; 0.4 to 1 with all of the spread alone.
+# Error of angles: this share of the spread of the posterior, which is too wide because planes have
+# at most one vote each, and the error that remains without spread. tuned: 241 disparities with the
+# errors of networks, true over stated 0.8 to 1.1 in bins from 1 to 5 degrees; 0.4 to 1 with all of
+# the spread alone.
 SPREAD_SHARE, LEAST_SIGMA_DEG = 0.6, 0.8
 # The answer is refused above this uncertainty of angles. chosen: the spread of the posterior is
 # then 8 degrees, where walls and floors can still be distinguished.
@@ -72,7 +73,7 @@ class ShiftEstimate:
 
     tau: float  # NaN if refused
     sigma: float  # standard deviation of tau
-    angle_sigma_deg: float  # root mean square, over pixels, of the error of normals by the shift
+    angle_sigma_deg: float  # error of normals by the shift, root mean square over pixels
     note: str  # planes that determine it
     refusal: str = ''  # why there is no answer; empty if there is one
 
@@ -164,7 +165,7 @@ def _posterior(planes: DisparityPlanes, tau: np.ndarray, span: tuple[float, floa
     of_slopes = SLOPE_DENSITY * (np.log(inverse) - 3 * np.log(length))
     slope_errors = np.array(SLOPE_ERRORS)[:, None, None] * (span[2] - span[0]) / length
     sharp = 1 / (known + slope_errors**2)
-    # A frame at a time: arrays of all of them do not fit into the cache.
+    # One frame at a time, because arrays of all of them do not fit into the cache.
     log_mass = np.concatenate([
         (np.log(_density(normals, axes, sharp)) + of_slopes) @ votes for axes in frames])
     log_mass = np.logaddexp.reduce(log_mass, axis=0) + _log_prior(tau, span)
@@ -200,7 +201,7 @@ def _log_prior(tau: np.ndarray, span: tuple[float, float, float]) -> np.ndarray:
 
 def _what_determines(normals: np.ndarray, planes: DisparityPlanes,
                      frames: list[np.ndarray]) -> str:
-    """Return in words which planes are level or upright for the normals (N, 3) of the answer."""
+    """Return a text on level and upright planes for the normals (N, 3) of the answer."""
     downs = np.array([axes[0] for axes in frames])
     if (np.abs(downs @ downs[0]) < np.cos(np.radians(NAMED_DEG))).any():
         off_deg = np.degrees(np.arccos(np.abs(normals @ downs.T).max(axis=1).clip(0, 1)))

@@ -3,8 +3,9 @@
 """
 Temporal filter of scale and shift: smoothing, holding without an estimate, outlier rejection.
 
-Two estimates are compared by the change of depth between them. A small change is averaged; a
-large one is ignored until several consecutive frames agree on it, because the scene has changed.
+Two estimates are compared by the change of depth between them. A small change is averaged; a large
+one is ignored until several consecutive frames agree on it, which means that the scene has
+changed.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ class ScaleState:
 
     estimate: ScaleEstimate
     outliers: tuple[ScaleEstimate, ...] = ()  # last frames that contradict it, but not each other
-    missed: int = 0  # frames since the method in use succeeded last
+    missed: int = 0  # frames since the current method last succeeded
     event: str = ''  # change at this frame, for the log; empty if none
     method: str = 'auto'  # scale.method at this frame
 
@@ -61,7 +62,7 @@ def depth_change(estimate: ScaleEstimate, other: ScaleEstimate) -> float:
     """
     Return the largest relative change of depth between two scales, over the span of other.
 
-    Where other was measured, its depth is positive; infinite if not by this one.
+    Where ``other`` was measured, its depth is positive; infinite if it is not by this one.
     """
     disparity = np.array(other.span)
     inverse = estimate.scale * disparity + estimate.shift
@@ -98,11 +99,11 @@ def _blend(state: ScaleState, measured: ScaleEstimate, config: ScaleConfig) -> S
             measured, scale=keep * current.scale + (1 - keep) * measured.scale,
             shift=keep * current.shift + (1 - keep) * measured.shift))
     why = (f'depth differs by {change:.0%}' if np.isfinite(change) else
-           'by the scale in use a part of it is behind the camera')
+           'with the scale in use, a part of it is behind the camera')
     agrees = state.outliers and depth_change(state.outliers[-1], measured) <= config.max_jump
     outliers = (*state.outliers, measured) if agrees else (measured,)
     if len(outliers) >= config.reset_after:
-        return ScaleState(measured, event=f'scale reset, {why}: '
-                          f'{len(outliers)} frames in a row agree on a new scene')
+        return ScaleState(measured, event=f'scale reset, {why}: {len(outliers)} consecutive '
+                                          'frames agree on a new scene')
     event = '' if agrees else f'outlier frame ignored, {why}'
     return ScaleState(current, outliers, 0, event)

@@ -110,7 +110,7 @@ def test_a_helper_runs_nothing_out_of_the_working_directory(sample, tmp_path):
 def test_a_helper_that_fails_is_reported(sample):
     """And the loops are compiled all the same."""
     printed = sample(0, '+', before='compilation._HELPER = "raise SystemError(1234)"')
-    assert ('a process that helps has failed, so that compiling takes longer: SystemError: 1234'
+    assert ('a helper process has failed, so compiling takes longer: SystemError: 1234'
             in printed)
     assert printed[-1] == '11.0'
 
