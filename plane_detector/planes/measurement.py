@@ -130,12 +130,13 @@ def planes_from_sums(regions: PixelRegions, sums: np.ndarray, kept: np.ndarray,
                      intrinsics: CameraIntrinsics) -> Planes:
     """Measure some of the planes from the sums (K, 21) over their pixels."""
     noise, camera, sums_kept = regions.noise, intrinsics, sums[kept]
+    mesh_shares = regions.mesh_shares(np.rint(sums[:, N]))
     table = _measured(
         sums_kept, regions.coefficients[kept], ray_plane_jacobian(camera),
         (noise.pixel_sigma**2 + noise.disparity_floor**2, noise.depth_floor_m**2,
          *_smooth_noise(regions), (noise.lateral_px / regions.grid.width_px)**2,
          # A network's errors bend its planes.
-         np.inf if noise.source_sigma > 0 else MAX_ROUGHNESS**2), regions.mesh_shares()[kept],
+         np.inf if noise.source_sigma > 0 else MAX_ROUGHNESS**2), mesh_shares[kept],
         (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height))
     certainty, of_class = (np.broadcast_to(one, len(sums))[kept].astype(float)
                            for one in (regions.certainty, regions.class_certainty))

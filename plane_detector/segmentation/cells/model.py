@@ -342,16 +342,15 @@ class PixelRegions:
                        grid=_rescaled_grid(self.grid, scale, shift),
                        noise=self.noise.rescaled(scale))
 
-    def mesh_shares(self) -> np.ndarray:
-        """Return the share (K,) of the pixels of each region that lie in cells of a mesh."""
+    def mesh_shares(self, pixels: np.ndarray) -> np.ndarray:
+        """Return the share (K,) of the pixels (K,) of each region that lie in cells of a mesh."""
         count, (height, width) = len(self.coefficients), self.labels.shape
         if not self.grid.is_mesh.any():
             return np.zeros(count)
         cells = self.grid.is_mesh.reshape(self.grid.shape)
         is_mesh = cells.repeat(self.grid.size_px, 0).repeat(self.grid.size_px, 1)[:height, :width]
-        mesh, all_pixels = (np.bincount(labels[labels >= 0], minlength=count)
-                            for labels in (self.labels[is_mesh], self.labels))
-        return mesh / np.maximum(all_pixels, 1)
+        labels = self.labels[is_mesh]
+        return np.bincount(labels[labels >= 0], minlength=count) / np.maximum(pixels, 1)
 
     def of_facets(self) -> PixelRegions:
         """Return the regions of the pieces of curved surfaces instead of those of planes."""

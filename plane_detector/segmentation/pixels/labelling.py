@@ -404,11 +404,16 @@ def _are_smears(labels, planes, disparity, valid, steepest):
     pixels, ramps = np.zeros(count, np.int64), np.zeros(count, np.int64)
     slope, across, found = np.empty(count), np.empty(count), np.zeros(count, np.bool_)
     for v in range(height):
+        first = 0  # of a run of equal labels, at whose ends 1/z is least and largest
         for u in range(width):
             k = labels[v, u]
+            if u + 1 < width and labels[v, u + 1] == k:
+                continue
             if k >= 0:
-                d = planes[k, 0] * u + planes[k, 1] * v + planes[k, 2]
-                low[k], high[k] = min(low[k], d), max(high[k], d)
+                for end in (first, u):
+                    d = planes[k, 0] * end + planes[k, 1] * v + planes[k, 2]
+                    low[k], high[k] = min(low[k], d), max(high[k], d)
+            first = u + 1
     any_left = False
     for k in range(count):
         slope[k] = max(np.hypot(planes[k, 0], planes[k, 1]), 1e-12)
