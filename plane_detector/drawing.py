@@ -14,7 +14,7 @@ from plane_detector._runtime.compilation import kernel
 from plane_detector.geometry.disparity import valid_depth
 from plane_detector.types import PlaneClass
 
-# Colours next to each other in the list, those of the largest planes, differ most.
+# Neighbouring colours in the list, used for the largest planes, differ most.
 PALETTE = np.array(
     [
         (230, 25, 75), (60, 180, 75), (0, 130, 200), (255, 225, 25), (145, 30, 180),
@@ -24,7 +24,7 @@ PALETTE = np.array(
     ],
     dtype=np.uint8,
 )
-# The colour of each class, with its name; planes of an unknown class have those of the palette.
+# The colour of each class, with its name; planes of unknown class use the palette.
 CLASS_COLOURS = {
     PlaneClass.FLOOR: ('green', (40, 175, 75)), PlaneClass.RAMP: ('light green', (150, 205, 60)),
     PlaneClass.WALL: ('blue', (30, 110, 225)), PlaneClass.CEILING: ('grey', (160, 168, 176)),
@@ -121,9 +121,9 @@ def tint(rgb: np.ndarray, labels: np.ndarray, colours: np.ndarray | None = None,
     labels : (H, W) integer
         Label of each pixel, 0 for no plane.
     colours : (N, 3) uint8, optional
-        Of labels 0 to N - 1, RGB; default: those of the palette.
+        Of labels 0 to N - 1, RGB; default: the palette.
     share : float
-        Of the plane's colour; the rest is that of the image.
+        Share of the plane's colour; the rest is the colour of the image.
 
     Returns
     -------

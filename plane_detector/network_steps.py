@@ -1,13 +1,13 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-The steps from a network's depth to planes: what measured depth does not need.
+The steps from the depth of a network to planes that measured depth does not need.
 
-1. Borders follow the edges of the image, which networks blur, and normals of the network, if it
-   gives any, part planes.
+1. Borders follow the edges of the image, which networks blur, and normals of the network, if there
+   are any, separate planes.
 2. The scale and shift to metres are estimated, and smoothed over time.
-3. Planes are rotated towards the normals of the network, and to the lines of the image.
-4. Pixels off all planes take the plane of their patch of one colour.
+3. Planes are rotated toward the normals of the network, and to the lines of the image.
+4. Unlabelled pixels take the plane of their patch of uniform colour.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ class NetworkSteps:
 
     def scale(self, observation: Observation, regions: PixelRegions, surroundings: Surroundings,
               config: Config) -> tuple[ScaleEstimate, str]:
-        """Return scale and shift to metres, and what changed with this image, if anything."""
+        """Return scale and shift to metres, and a note on a change with this image, if any."""
         evidence = ScaleEvidence(
             observation.disparity, lambda: ray_planes(regions, observation.intrinsics),
             observation.output, surroundings.gravity.gravity_camera,
@@ -93,7 +93,7 @@ class NetworkSteps:
 
     def fill(self, planes: PlaneSegmentation, regions: PixelRegions, depth_m: np.ndarray,
              observation: Observation, shape_labels: np.ndarray) -> np.ndarray:
-        """Return the labels (H, W), with pixels off all planes where colours show a surface."""
+        """Return the labels (H, W), with unlabelled pixels filled where colours show a surface."""
         if not regions.patches.size:
             return planes.labels
         return fill_patches(planes.labels, regions.patches, planes.planes, depth_m,
@@ -111,7 +111,7 @@ def _noise_floor(observation: Observation, config: Config) -> Noise:
 def _scaled_depth(observation: Observation, scale: ScaleEstimate, max_depth_m: float
                   ) -> tuple[np.ndarray, bool]:
     """
-    Return the depth (H, W) in the unit of the scale, and whether it is another than before.
+    Return the depth (H, W) in the unit of the scale, and whether it has changed.
 
     Unscaled metres are the same array, valid wherever the disparity was.
     """

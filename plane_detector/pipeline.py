@@ -3,9 +3,9 @@
 """
 From image and intrinsics to planes: the stages of the pipeline in order, for a stream of images.
 
-:class:`PlaneDetector` keeps what carries over from image to image. Each of its three calls has a
-state of its own and the epoch in which that is valid; an image of a later epoch, after a reset or
-a jump back in time, starts the state of the stage that it meets anew.
+:class:`PlaneDetector` holds all state that carries over from image to image. Each of its three
+calls has its own state, and the epoch in which that is valid; an image of a later epoch, after a
+reset or a jump back in time, starts the state of each stage anew.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ from plane_detector.types import (
 )
 
 DEFAULTS = Config()
-# Folders of the loops that every image needs.
+# Folders of the kernels that every image needs.
 LOOPS = ('geometry', 'segmentation', 'planes', 'ground')
 # chosen: the kind of depth is tested in images 1, 2, 4, ... up to this, then once in this many.
 _KIND_IMAGES = 64
@@ -67,7 +67,7 @@ State = TypeVar('State')
 
 
 class _PerEpochState(Generic[State]):
-    """What a stage keeps from image to image, made anew for the first image of an epoch."""
+    """State of a stage, created anew for the first image of an epoch."""
 
     def __init__(self, make: Callable[[], State]) -> None:
         self._make, self._epoch, self._state = make, 0, make()
@@ -81,7 +81,7 @@ class _PerEpochState(Generic[State]):
 
 @dataclass
 class _KindNote:
-    """What was found about the kind of measured depth; looked for ever more seldom: 4 ms."""
+    """Result of the test of the kind of measured depth, which is made ever more rarely: 4 ms."""
 
     images: int = 0
     text: str = ''
@@ -97,7 +97,7 @@ class _KindNote:
 
 
 class _MeasuredSteps:
-    """The steps from a sensor's depth to planes, as `NetworkSteps`: it is in metres."""
+    """The steps from a sensor's depth in metres to planes, like `NetworkSteps`."""
 
     loops: tuple[str, ...] = ()
 
@@ -128,7 +128,7 @@ class _MeasuredSteps:
 
 @dataclass
 class _PlaneState:
-    """What the third stage keeps, whatever the source of depth is."""
+    """State of the third stage that does not depend on the source of depth."""
 
     tracker: PlaneTracker = field(default_factory=PlaneTracker)
     shapes: ShapeDetector = field(default_factory=ShapeDetector)
@@ -199,10 +199,9 @@ class PlaneDetector:
             False in the black corners that rectification leaves; depth is invalid there.
         stamp_s : float
             Time of the image. If it jumps back, all history is discarded. Without it, lines are
-            sought in every image in which they are needed, also while nothing moves.
+            detected in every image that needs them, even while nothing moves.
         camera_height_m : float, optional
-            Measured height above the floor, 0 if it is not known; default:
-            ``config.scale.camera_height``.
+            Measured height above the floor, 0 if unknown; default: ``config.scale.camera_height``.
 
         Returns
         -------
@@ -227,7 +226,7 @@ class PlaneDetector:
         """
         Run the first stage of :meth:`detect`: the depth of an image.
 
-        Another thread may run the next two stages for the images before, in order. They add their
+        Another thread may run the next two stages for earlier images, in order. They add their
         times to the ``timer`` of the observation.
         """
         rgb, timer = as_image(rgb, intrinsics), timer or StageTimer()
@@ -264,8 +263,8 @@ class PlaneDetector:
         """
         Run the second stage: gravity and lines.
 
-        Those found last are kept while nothing moves. ``gravity_source`` names what measured the
-        direction of gravity.
+        The last lines are kept while nothing moves. ``gravity_source`` names the source of the
+        measured direction of gravity.
         """
         if gravity_camera is not None:
             gravity_camera = measured_direction(gravity_camera)
@@ -295,7 +294,7 @@ class PlaneDetector:
             # 2. The scale and shift to metres, smoothed over time.
             scale, scale_event = steps.scale(observation, regions, surroundings, config)
         with timer('measurement'):
-            # 3. Depth and planes in metres, or in an arbitrary unit if the scale is not known.
+            # 3. Depth and planes in metres, or in an arbitrary unit if the scale is unknown.
             depth_m, regions, planes = steps.measure(observation, regions, scale, surroundings,
                                                      config)
         with timer('shapes'):
@@ -307,7 +306,7 @@ class PlaneDetector:
                 planes, shapes, shape_labels = state.shapes.detect(
                     depth_m, planes, regions, observation.intrinsics, config)
         with timer('tracking'):
-            # 5. Labels that are stable from image to image, and with them averages.
+            # 5. Labels that persist from image to image, and averages over them.
             planes = state.tracker.update(planes, config.tracking)
             remembers = (config.segmentation.memory and config.tracking.enabled
                          and observation.is_measured)
@@ -333,7 +332,7 @@ class PlaneDetector:
             self._directions.at(observation.epoch).note_planes(planes, is_trusted=(
                 observation.is_measured and surroundings.gravity.gravity_camera is not None))
         with timer('patches'):
-            # 7. Pixels off all planes, if the colours show better where a surface ends.
+            # 7. Unlabelled pixels, if colours show the ends of surfaces better than depth.
             labels = steps.fill(planes, regions, depth_m, observation, shape_labels)
         input_note = _joined([observation.input_note, _sign_note(planes, surroundings, scale)])
         return Detection(planes.planes, labels, planes.disparity_noise, depth_m, scale,
@@ -348,9 +347,9 @@ class PlaneDetector:
 
     def reset(self) -> None:
         """
-        Discard what is kept from earlier images, before the next one; from any thread.
+        Discard the state from earlier images before the next one; from any thread.
 
-        That is averages of depth, lines, scale, planes and labels.
+        The state consists of averages of depth, lines, scale, planes and labels.
         """
         self._epoch += 1
 
@@ -384,8 +383,8 @@ def segment_planes(depth_m: np.ndarray, intrinsics: CameraIntrinsics, config: Co
     Raises
     ------
     ValueError
-        ``depth_m`` is not a 2-D floating point array, its size differs from the intrinsics, or
-        the noise or the generator is none.
+        ``depth_m`` is not a 2-D floating point array, its size differs from the intrinsics, or the
+        noise or the generator is invalid.
 
     Examples
     --------
@@ -433,7 +432,7 @@ def _as_number(name: str, value: object) -> float:
 
 
 def _checked_cover(covered: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
-    """Return where an image is covered (H, W) bool; ValueError if it says it in another way."""
+    """Return where an image is covered (H, W) bool; ValueError for any other array."""
     covered = np.asarray(covered)
     if covered.shape != shape or covered.dtype != bool:
         raise ValueError(f'covered must be {shape} bool, as the image, not {covered.shape} '
@@ -457,7 +456,7 @@ def _joined(notes: list[str]) -> str:
 
 
 def _sign_note(found: PlaneSegmentation, surroundings: Surroundings, scale: ScaleEstimate) -> str:
-    """Return that measured gravity may point up; empty if nothing tells so."""
+    """Return that measured gravity may point up; empty without evidence."""
     gravity = surroundings.gravity
     if gravity.gravity_camera is None or gravity.source in ('image', 'parameter'):
         return ''
@@ -479,7 +478,7 @@ def _find_regions(disparity: np.ndarray, intrinsics: CameraIntrinsics, config: C
 
 def _with_facets(planes: PlaneSegmentation, regions: PixelRegions, intrinsics: CameraIntrinsics,
                  config: Config) -> PlaneSegmentation:
-    """Return the planes followed by the pieces of curved surfaces: a robot stands on these too."""
+    """Return planes, then pieces of curved surfaces: a robot may stand on these too."""
     if not regions.facets.size:
         return planes
     facets = measured_segmentation(regions.of_facets(), intrinsics,

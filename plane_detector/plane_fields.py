@@ -1,12 +1,12 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-What a plane has: a row of :class:`PlaneColumns` for each attribute, and what is made of rows.
+The attributes of planes: one row of :class:`PlaneColumns` each, and everything derived from it.
 
-From a row follow the attribute of `Plane`, the array of `Planes`, how it changes with the frame
-and with the unit of length, the fields of ``~/planes`` and their table in docs/topics.md, the
-names in JSON and the columns of CSV. A new attribute is a row, and its values where planes are
-measured, planes/measurement.py.
+A row determines the attribute of `Plane`, the array of `Planes`, how it changes with the frame and
+with the unit of length, the fields of ``~/planes`` and their table in docs/topics.md, the names in
+JSON and the columns of CSV. To add an attribute, add a row, and compute its values where planes
+are measured, in planes/measurement.py.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
-# Power of the unit of length in each unit: what a change of it multiplies.
+# Power of the unit of length in each unit, for a change of that unit.
 POWERS = {'': 0, 'px': 0, 'rad': 0, 'm': 1, 'm^2': 2}
-# Types in a message, of those in the core.
+# Types in messages by types in the core.
 _WIRE_TYPES = {np.dtype(float): '<f4', np.dtype(np.int64): '<u4', np.dtype(np.uint8): 'u1'}
 _COLUMN = 'column'
 Table = TypeVar('Table', bound='Columns')
@@ -77,7 +77,7 @@ class Published:
     unit: str = ''
     doc: str = ''
     of: Callable[[np.ndarray], np.ndarray] | None = None  # column -> (K,) or (K, fields)
-    digits: int = 4  # in JSON, after the point; of metres a tenth of a millimetre
+    digits: int = 4  # in JSON, after the point; metres to a tenth of a millimetre
 
 
 @dataclass(frozen=True)
@@ -89,12 +89,12 @@ class Column:
     shape: tuple[int, ...]  # for a single plane
     dtype: np.dtype
     moves: Moves
-    default: Any  # of columns that are not given; None: it must be given
+    default: Any  # of columns that are not given; None: required
     kind: Callable[[Any], Any] | None  # of a single value; None: by the dtype
     published: tuple[Published, ...]
 
     def value(self, values: np.ndarray) -> Any:
-        """Return a single one as `Plane` has it."""
+        """Return a single value in the form that `Plane` has."""
         if self.shape:
             return values
         return self.kind(values) if self.kind else values.item()
@@ -136,7 +136,7 @@ class Columns:
         Raises
         ------
         IndexError
-            As of an array: a mask of another length, an index that there is not, or several
+            As for an array: a mask of another length, an index out of range, or several
             dimensions.
 
         """
@@ -154,9 +154,9 @@ class Columns:
 
     def moved(self: Table, motion: Motion, scale: float = 1.0) -> Table:
         """
-        Return the rows in another frame, of lengths that are ``scale`` times as large there.
+        Return the rows in another frame, in which lengths are ``scale`` times as large.
 
-        Normals still point to the camera, so that offsets may be negative there.
+        Normals still point toward the camera, so offsets may be negative there.
         """
         moved: dict[str, np.ndarray] = {}
         for name, row in columns_of(type(self)).items():
@@ -223,7 +223,7 @@ _ROWS, _COLUMNS = np.triu_indices(4)
 
 
 def _root(variances: np.ndarray) -> np.ndarray:
-    """Return standard deviations; rounding may have made the variance of an exact one negative."""
+    """Return standard deviations; rounding may make the variance of an exact value negative."""
     return np.sqrt(np.maximum(variances, 0.0))
 
 
@@ -231,7 +231,7 @@ def _root(variances: np.ndarray) -> np.ndarray:
 class PlaneColumns(Columns):
     """The attributes of planes; a new one is added last, with a default."""
 
-    # (K, 3), of length 1, pointing to the camera.
+    # (K, 3), of length 1, pointing toward the camera.
     normals: np.ndarray = column(
         'normal', Published('normal_x normal_y normal_z', 'normal'), shape=(3,),
         moves=Moves.DIRECTION, doc='unit normal')
@@ -246,13 +246,13 @@ class PlaneColumns(Columns):
     # At least 1; more pixels may have its label, see `fill_patches`.
     counts: np.ndarray = column(
         'inlier_count', Published('num_inliers', 'num_inliers'), unit='px', dtype=np.int64,
-        doc='pixels that the plane was measured from')
+        doc='pixels from which the plane was measured')
     rms_m: np.ndarray = column(
         'rms_m', Published('rms', 'rms'), unit='m', doc='root mean square distance of its points')
     areas_m2: np.ndarray = column(
         'area_m2', Published('area', 'area'), unit='m^2',
-        doc='visible area: the part of the plane that its pixels cover, without holes; never '
-            'above that of the rectangle')
+        doc='visible area: the part of the plane that its pixels cover, without holes; at most '
+            'that of the rectangle')
     # (K, 4, 4), of (normal, offset_m), from the fit.
     covariances: np.ndarray = column(
         'covariance',
@@ -272,8 +272,8 @@ class PlaneColumns(Columns):
         doc='probability that the plane exists in the scene, 0 to 1; low in measured depth that '
             'is rough for its extent; of a network\'s plane times that of its orientation (within '
             '15 degrees)')
-    # Probability that the plane is horizontal, vertical or neither as the normal says, if lines of
-    # the image oriented it; NaN: its depth alone did, and the covariance says how well.
+    # Probability that the plane is horizontal, vertical or neither, as its normal indicates, if
+    # lines of the image oriented it; NaN: only depth did, and the covariance shows how well.
     class_certainties: np.ndarray = column('class_certainty', default=float('nan'))
     classes: np.ndarray = column(
         'plane_class', Published('class', 'class'), dtype=np.uint8, kind=PlaneClass,
@@ -283,7 +283,7 @@ class PlaneColumns(Columns):
     # Above 0, the same from image to image if tracked; 0: not labelled.
     labels: np.ndarray = column(
         'label', Published('label', 'label'), dtype=np.int64, default=0,
-        doc='the label in `~/points` and `~/labels`; stable over time with `tracking.enabled`')
+        doc='the label in `~/points` and `~/labels`; persistent with `tracking.enabled`')
     merged: np.ndarray = column(
         'merged', Published('merged'), dtype=np.int64, default=0,
-        doc='label of a plane that has been merged into this one in this image, 0: none')
+        doc='label of a plane that was merged into this one in this image, 0: none')

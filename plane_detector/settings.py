@@ -15,7 +15,7 @@ def setting(default: Any, doc: str, unit: str = '', low: float | None = None,
     """
     Declare a field with its description, unit, range and choices.
 
-    One that is ``python_only`` is for programs and studies: the node has no parameter for it.
+    A ``python_only`` setting is for programs and studies; the node has no parameter for it.
 
     Examples
     --------
@@ -36,7 +36,7 @@ def setting(default: Any, doc: str, unit: str = '', low: float | None = None,
 
 
 def fixed_setting(*args: Any, **kwargs: Any) -> Any:
-    """Declare a setting that is read at configure and fixed while the node is active."""
+    """Declare a setting that is fixed while the node is configured."""
     declared = setting(*args, **kwargs)
     return field(default=declared.default, metadata={**declared.metadata, 'read_only': True})
 

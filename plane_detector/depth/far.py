@@ -9,8 +9,8 @@ region at the upper border, in the farther half of the depth, that becomes white
 downwards. Rayleigh scattering causes this in a clear sky; a wall keeps its colour when its
 brightness changes. The smooth white region between it and the horizon belongs to the sky. An
 overcast sky is found if the camera overexposes it: a white region without texture at the upper
-border that is the farthest of the image. A grey or cloudy sky is found in the depth: networks of
-relative disparity give it the least of the image, without the gradient that walls have.
+border that is the farthest part of the image. A grey or cloudy sky is found in the depth: networks
+of relative disparity give it the lowest values of the image, without the gradient that walls have.
 """
 
 from __future__ import annotations
@@ -52,14 +52,14 @@ _BORDER_PX = 3  # the texture window reaches this far beyond the region
 def has_usable_distance(disparity: np.ndarray, noise: float, rgb: np.ndarray,
                         has_shift: bool = False) -> tuple[np.ndarray, bool]:
     """
-    Return the pixels (H, W) bool whose disparity determines a distance, and whether sky is seen.
+    Return the pixels (H, W) bool whose disparity determines a distance, and whether there is sky.
 
     Parameters
     ----------
     disparity : (H, W) floating
         NaN invalid.
     noise : float
-        Its standard deviation; 0: not known.
+        Its standard deviation; 0: unknown.
     rgb : (H, W, 3) uint8
     has_shift : bool
         The disparity of unknown shift is affine in 1/z: 0 is infinitely far only under a sky, and
@@ -109,7 +109,7 @@ def _is_bright(rgb: np.ndarray, least_grey: float, least_blue_minus_red: float) 
 
 
 def _grey(rgb: np.ndarray) -> np.ndarray:
-    """Return the mean of the channels of a float32 image, a tenth of the time of its method."""
+    """Return the mean of the channels of a float32 image, ten times as fast as its method."""
     return (rgb[..., 0] + rgb[..., 1] + rgb[..., 2]) / np.float32(3)
 
 

@@ -39,19 +39,19 @@ class FileToFetch:
 
 @dataclass(frozen=True)
 class Network:
-    """A depth network: of the zoo, or a file with what the settings say about it."""
+    """A depth network: of the zoo, or a file described by the settings."""
 
     name: str  # value of `DepthConfig.model`
     file_name: str  # in the cache folder; with weights files, in a folder of its own there
     recipe: InputRecipe  # conversion of an image to its input
-    outputs: Outputs  # which of its outputs is what
+    outputs: Outputs  # meaning of its outputs
     # Typical error of its disparity as a share of the disparities of the image, see
     # `plane_detector.geometry.disparity.noise_reference`.
     noise_share: float
     sources: tuple[Source, ...] = ()  # of the file; they are tried in turn
     size_bytes: int = 0  # of the file; 0: not known
     sha256: str = ''
-    weights: tuple[FileToFetch, ...] = ()  # beside the file, which refers to them
+    weights: tuple[FileToFetch, ...] = ()  # next to the file, which refers to them
     licence: str = ''  # of the weights: the SPDX name if it is clear, else a description
     summary: str = ''  # its output and training data
     input_size: tuple[int, int] = (0, 0)  # width and height; (0, 0): as the file states
@@ -120,8 +120,8 @@ _SMALL_INT8 = replace(
     sources=(UrlSource(_ONNX_COMMUNITY + 'model_quantized.onnx'),), size_bytes=27258801,
     sha256='fcf51f1b230362b28690bb9d1809bf0431f29cad20534e3f589bd7285547f20d',
     summary='relative disparity in 8 bits, for a CPU')
-# Trained on images cropped by 11/250 of the height on each side, so that NYU's focal length of
-# 519.47 px at 480 rows is 1.187 times the height. The second source mirrors the first package.
+# Trained on images cropped by 11/250 of the height on each side, so NYU's focal length of 519.47
+# px at 480 rows is 1.187 times the height. The second source mirrors the first package.
 _FASTDEPTH = Network(
     name='fastdepth',
     file_name='fastdepth_7.onnx',
@@ -135,8 +135,8 @@ _FASTDEPTH = Network(
     recipe=replace(_UNIT_RANGE, resize='area'), outputs=Outputs('metric_depth', is_indoor=True),
     noise_share=FASTDEPTH_NOISE_SHARE, short_side=224, side_multiple=32,
     focal_per_height=519.47 / (480 * (1 - 22 / 250)), views=3)
-# 1200 tokens are the minimum of its training; an input of 560 x 420 has that many patches of
-# 14 x 14, so that nothing is resized twice.
+# It was trained with at least 1200 tokens; an input of 560 x 420 has that many patches of 14 x 14,
+# so nothing is resized twice.
 _MOGE = Network(
     name='moge_2_small_normal',
     file_name='moge_2_vits_normal.onnx',
@@ -164,7 +164,7 @@ _METRIC3D = Network(
         normals='predicted_normal', confidence='normal_confidence'),
     noise_share=0.006, input_size=(1064, 616))
 # Depth up to scale. Its authors run it with a longer side of 504: here 504 x 378. Its confidence
-# is not used: none of the outputs that are at hand for measurements has one.
+# is not used: none of the outputs available for measurements has one.
 _DEPTH_ANYTHING_3 = Network(
     name='depth_anything_3_small',
     file_name='depth_anything_3_small/model.onnx',
@@ -235,16 +235,16 @@ def fetch(network: Network, cache_dir: str | Path,
     """
     Return the file of a network, whether it was cached or downloaded, and its verified content.
 
-    Hosts in ``unreachable`` are not contacted; those that do not answer are added.
+    Hosts in ``unreachable`` are not contacted; hosts that do not answer are added.
 
     Raises
     ------
     NetworkUnavailableError
-        It is not cached and cannot be downloaded; the message says how to get it by hand.
+        It is neither cached nor can it be downloaded; the message says how to get it by hand.
 
     """
     path = cached_path(network, cache_dir)
-    # The file of the network last: once it is there, all are.
+    # The file of the network last: once it exists, all files do.
     *weights, main = _files(network, path)[::-1]
     for file in weights:
         _fetch_file(network, path, file, unreachable)
@@ -260,7 +260,7 @@ def _files(network: Network, path: Path) -> list[FileToFetch]:
 
 def _fetch_file(network: Network, main: Path, wanted: FileToFetch,
                 unreachable: set[str]) -> tuple[str, bytes]:
-    """Return how a file beside ``main`` came, and its verified content."""
+    """Return how a file next to ``main`` was obtained, and its verified content."""
     path = main.with_name(wanted.name)
     is_there = path.is_file()
     # Not the process id: containers that share a cache volume often have the same ids.
@@ -288,7 +288,7 @@ def _fetch_file(network: Network, main: Path, wanted: FileToFetch,
 
 
 def _verified(path: Path, wanted: FileToFetch) -> bytes | None:
-    """Return the content of a cached file, or None if it is another one."""
+    """Return the content of a cached file, or None if it is a different one."""
     with open(path, 'rb') as file:
         size = os.fstat(file.fileno()).st_size
         if size > (wanted.size_bytes or MOST_BYTES):  # which would take minutes and all memory
@@ -312,8 +312,8 @@ class NetworkFile(NamedTuple):
 
     network: Network
     path: Path
-    reason: str  # why this one
-    # As verified; None: weights are in other files, which ONNX Runtime finds from the path only.
+    reason: str  # why this one was chosen
+    # As verified; None: weights are in other files, which ONNX Runtime finds only from the path.
     # Those of the zoo are verified, a file of the user's is without a hash.
     content: bytes | None
 
@@ -377,7 +377,7 @@ def resolve(config: DepthConfig, in_16_bits: bool = False) -> NetworkFile:
 
 
 def _of_file(path: Path, config: DepthConfig) -> Network:
-    """Return what the settings say about a file."""
+    """Return the network that the settings describe for a file."""
     if not path.is_file():
         raise ValueError(f'depth.model {config.model!r} is neither a file nor one of auto, '
                          f'{", ".join(NETWORKS)}')

@@ -29,7 +29,7 @@ from plane_detector.geometry.robust import median
 from plane_detector.stage_timer import StageTimer
 from plane_detector.types import CameraIntrinsics, DepthModel, Prediction
 
-# Flicker is averaged in an image with sides up to this: a network sees no finer detail.
+# Flicker is averaged in an image with sides up to this: a network resolves no finer detail.
 _FILTER_SIDE_PX = 640
 # Weight of earlier images while nothing moves. tuned: `benchmark flicker` of 119cc6f.
 _DAMPING = 0.8
@@ -46,31 +46,31 @@ class Observation:
     config: Config  # settings for this image
     prediction: Prediction  # the input of the segmentation
     is_measured: bool = False  # the prediction is the measurement of a sensor, in metres
-    sensor_depth_m: np.ndarray | None = None  # (H, W), may give the scale of the prediction
+    sensor_depth_m: np.ndarray | None = None  # (H, W), may determine the scale of the prediction
     # Standard deviation of the disparity stated for the source, as a share of the disparities of
     # an image; 0: not known.
     noise_share: float = 0.0
     edge_blur_px: float = 0.0  # largest error of depth edges, in pixels of this image
     covered: np.ndarray | None = None  # (H, W) bool, after rectification; None: all
-    # (H, W) float32: depth in metres that repeats exactly and was no measurement, NaN elsewhere;
+    # (H, W) float32: depth in metres that repeats exactly and is not a measurement, NaN elsewhere;
     # None: there is none
     constants_m: np.ndarray | None = None
-    is_still: bool = False  # nothing moved since the image before: averaged with earlier ones
-    input_note: str = ''  # what speaks against its camera or depth as given; empty if nothing
+    is_still: bool = False  # nothing moved since the previous image: averaged with earlier ones
+    input_note: str = ''  # evidence against its stated camera or depth; empty if none
     sees_sky: bool = False  # only found for a network's depth
-    stamp_s: float = float('nan')  # time of the image; NaN: not known
+    stamp_s: float = float('nan')  # time of the image; NaN: unknown
     epoch: int = 0  # images of different epochs share no history
     timer: StageTimer = field(default_factory=StageTimer)  # of the stages on this image
 
     @property
     def scale_warning(self) -> str:
-        """Why its lengths mean nothing; empty if nothing is known against them."""
+        """Why its lengths are meaningless; empty without evidence."""
         return ('the network was trained indoors, and the image shows the sky'
                 if self.prediction.is_indoor and self.sees_sky else '')
 
     @property
     def constant_note(self) -> str:
-        """How many pixels repeat which depth and are no measurement; empty if none."""
+        """How many pixels repeat which depth and are not measurements; empty if none."""
         if self.constants_m is None:
             return ''
         depths_m = self.constants_m[np.isfinite(self.constants_m)]
@@ -209,7 +209,7 @@ class ModelDepth:
                 config: Config) -> Observation:
         """Return the observation of an image with its prediction, averaged while it is still."""
         prediction, (height, width) = self.model.predict(rgb, intrinsics), rgb.shape[:2]
-        # Writable, as the loops take them: those of a function may be a view of what it keeps.
+        # Writable, as kernels require; the values of a function may be a view of its own data.
         output, values = prediction.output, np.require(prediction.values, np.float32, 'CW')
         if values.shape != (height, width):
             raise ValueError(f'depth of shape {values.shape} for an image of shape '
@@ -217,7 +217,7 @@ class ModelDepth:
         factor = lens_factor(intrinsics, config.scale.reference_focal_px,
                              self.model.focal_per_height)
         if output == 'relative_depth':
-            # In the median as the unit, so that no depth is below the least or beyond float32.
+            # In units of the median, so that no depth is below the minimum or beyond float32.
             valid = values[np.isfinite(values) & (values > 0)]
             values = values / np.float32(median(valid) if valid.size else 1.0)
         elif output == 'relative_disparity':
@@ -273,7 +273,7 @@ def make_source(config: Config, model: ModelOrFunction | None) -> DepthSource:
     config : Config
         ``depth.source`` decides if no model is given.
     model : DepthModel, callable or None
-        A plain function returns the kind given by ``depth.output``; ``auto``: metres.
+        A plain function returns the kind of depth given by ``depth.output``; ``auto``: metres.
 
     Raises
     ------

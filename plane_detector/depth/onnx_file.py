@@ -5,8 +5,8 @@ Check of an ONNX file from an untrusted source, before ONNX Runtime (1.23.2) ope
 
 - It may store weights in other files, given by paths. ONNX Runtime follows any path, so that the
   file could read arbitrary files.
-- Its functions may call each other. One that calls itself crashes ONNX Runtime, functions that
-  each call the next one twice, or graphs nested in each other, are loaded for ever.
+- Its functions may call each other. A function that calls itself crashes ONNX Runtime; functions
+  that each call the next one twice, or deeply nested graphs, take for ever to load.
 
 The file is a protocol buffers message (onnx/onnx.proto3). Only the fields that lead to the
 ``external_data`` of a tensor, and the names of operators and functions, are parsed; all others are
@@ -44,15 +44,15 @@ MOST_FIELDS = 5_000_000
 MOST_NODES = 1_000_000
 """After all functions are expanded; the largest network has some ten thousand."""
 MOST_NESTED = 8
-"""Graphs inside each other, such as the branches of If; exported networks have 2 or 3."""
+"""Nested graphs, such as the branches of If; exported networks have 2 or 3."""
 MOST_CALLS = 64
-"""Functions that call each other in a row; exporters make one of each module, 10 or so deep."""
+"""Functions in a chain of calls; exporters make one per module, 10 or so deep."""
 _MEMORY_ADDRESS = '_ORT_MEM_ADDR_'  # of ONNX Runtime: the offset is an address in memory
 
 
 def check_file(path: Path) -> None:
     """
-    Refuse an ONNX file that refers to a file outside its own folder, or cannot be loaded in time.
+    Refuse an ONNX file that refers to a file outside its folder, or takes too long to load.
 
     If the file is a link, as in the cache of Hugging Face, the folder of its target is allowed
     too.
@@ -60,8 +60,8 @@ def check_file(path: Path) -> None:
     Raises
     ------
     ValueError
-        It is not a complete ONNX file, refers to a file that is missing or elsewhere, or its
-        functions or graphs are too many.
+        It is not a complete ONNX file, refers to a file that is missing or elsewhere, or has too
+        many functions or graphs.
     OSError
         It cannot be read.
 
@@ -88,18 +88,18 @@ def check_file(path: Path) -> None:
 
 @dataclass
 class Body:
-    """The nodes of a graph or of a function, with those of the graphs inside of them."""
+    """The nodes of a graph or of a function, including the graphs inside them."""
 
     nodes: int = 0
-    nested: int = 0  # graphs inside each other
-    # Number of nodes by their operator, domain and name, which may be a function, and by how many
-    # graphs are around them.
+    nested: int = 0  # depth of nested graphs
+    # Number of nodes by operator (domain and name, which may be a function) and by the number of
+    # enclosing graphs.
     calls: Counter[tuple[tuple[bytes, bytes], int]] = field(default_factory=Counter)
 
 
 @dataclass
 class Contents:
-    """What is checked of an ONNX file."""
+    """The parts of an ONNX file that are checked."""
 
     locations: set[str] = field(default_factory=set)  # paths of external data of all tensors
     main: Body = field(default_factory=Body)
@@ -133,7 +133,7 @@ class Contents:
 
 
 def read_contents(path: Path) -> Contents:
-    """Return what is checked of an ONNX file."""
+    """Return the parts of an ONNX file that are checked."""
     with open(path, 'rb') as file:
         if not os.fstat(file.fileno()).st_size:
             raise ValueError(f'{path} is empty')
@@ -147,7 +147,7 @@ def read_contents(path: Path) -> Contents:
 def _contents(data: mmap.mmap) -> Contents:
     """Walk through the messages of a file."""
     found, budget = Contents(), iter(range(MOST_FIELDS))
-    # Kind and place of a message, the function or graph that it is in, and graphs around it.
+    # Kind and place of a message, its function or graph, and the number of enclosing graphs.
     waiting = [('ModelProto', 0, len(data), found.main, 0)]
     while waiting:
         kind, start, end, body, around = waiting.pop()

@@ -27,9 +27,9 @@ _INPUT_TYPES = {'tensor(float)': np.float32, 'tensor(float16)': np.float16,
 MIN_SIDE_PX = 64
 RUNTIME = f'ONNX Runtime {ort.__version__}'
 ON_CUDA = 'CUDAExecutionProvider'
-# Settings of execution providers. By default CUDA tries every algorithm of each convolution, which
-# stops the stream for up to a second whenever the input gets a new size; the one that cuDNN
-# predicts is about as fast. Its memory grows by what is needed instead of by powers of two, up to
+# Settings of execution providers. By default CUDA tries every algorithm for each convolution,
+# which stops the stream for up to a second whenever the input has a new size; the one that cuDNN
+# predicts is about as fast. Memory grows by the required amount instead of by powers of two, up to
 # a limit: on a Jetson all programs share it.
 # chosen: 2.5 times what Depth Anything V2 small takes at 924 x 518.
 CUDA_MEMORY_BYTES = 4 << 30
@@ -41,7 +41,7 @@ _GPU_PACKAGE = "pip install 'onnxruntime-gpu[cuda,cudnn]'"
 
 
 def available_providers() -> tuple[str, ...]:
-    """Return the execution providers of this ONNX Runtime, as far as they run on this machine."""
+    """Return the execution providers of this ONNX Runtime that run on this machine."""
     return tuple(p for p in ort.get_available_providers() if p != 'AzureExecutionProvider')
 
 
@@ -71,9 +71,9 @@ def _missing_library(provider: str) -> str:
     """Load the libraries of a provider; return which one is missing, or nothing."""
     if provider not in _LIBRARIES:
         return ''
-    # Wheels of NVIDIA are in site-packages, where the loader does not look by itself.
+    # NVIDIA's wheels are in site-packages, where the loader does not search by itself.
     if hasattr(ort, 'preload_dlls'):
-        with redirect_stdout(StringIO()):  # it prints what is missing; so do we, below
+        with redirect_stdout(StringIO()):  # it prints what is missing; so does our message
             ort.preload_dlls()
     folder = Path(ort.__file__).parent / 'capi'
     try:
@@ -103,9 +103,8 @@ class OnnxSession:
     """
     One ONNX Runtime session that takes (3, H, W) float32 and returns arrays.
 
-    It loads the content if given, else the file. The network says what the file does not: its
-    other inputs, the required outputs, the input size. With 0 threads, ONNX Runtime chooses their
-    number.
+    It loads the content if given, else the file. The network states what the file does not: other
+    inputs, required outputs, the input size. With 0 threads, ONNX Runtime chooses their number.
 
     Raises
     ------
@@ -164,7 +163,7 @@ class OnnxSession:
         return arrays
 
     def _run(self, inputs: dict[str, np.ndarray], options: ort.RunOptions) -> list[np.ndarray]:
-        """Run, with outputs that stay on the device until all are there: .5 ms less on an H100."""
+        """Run with outputs kept on the device until all are computed: .5 ms less on an H100."""
         if self._session.get_providers()[0] != ON_CUDA:
             return self._session.run(self._outputs, inputs, options)
         binding = self._session.io_binding()
@@ -247,8 +246,8 @@ def _load(file: str | bytes, provider: str, threads: int) -> ort.InferenceSessio
     options = ort.SessionOptions()
     options.intra_op_num_threads = threads
     options.use_deterministic_compute = True
-    # Otherwise threads spin while they wait for each other or for the next image, and take the
-    # cores from the other stages: measured 15 ms of core time for fastdepth instead of 8.
+    # Otherwise threads spin while they wait for each other or for the next image, and take cores
+    # from the other stages: 15 ms of core time for fastdepth instead of 8.
     options.add_session_config_entry('session.intra_op.allow_spinning', '0')
     options.log_severity_level = 3  # exported networks cause many harmless warnings
     providers = list(dict.fromkeys([provider, 'CPUExecutionProvider']))
@@ -265,7 +264,7 @@ def _load(file: str | bytes, provider: str, threads: int) -> ort.InferenceSessio
         raise ProviderError('its libraries are there, but ONNX Runtime cannot set it up: is the '
                             'device there (nvidia-smi), and new enough its driver?')
     session.disable_fallback()
-    session._model_bytes = None  # else it keeps the file in memory; there is no public name for it
+    session._model_bytes = None  # else it keeps the file in memory; no public name for it
     return session
 
 

@@ -3,10 +3,10 @@
 """
 Checks that the output of a network can be depth.
 
-Network files are easily confused: some give only zeros, some are called metric but give relative
-disparity. A constant, empty or negative output is detected in any frame. Whether the values rise
-or fall with depth is tested on an image of known depth: a corridor with a checkerboard on all
-faces, so that only the perspective indicates distance.
+Network files are easily confused: some output only zeros, some are called metric but output
+relative disparity. A constant, empty or negative output is detected in any frame. Whether the
+values rise or fall with depth is tested on an image of known depth: a corridor with a checkerboard
+on all faces, so that only the perspective indicates distance.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _MIN_OPPOSITE_CORRELATION = 0.4
 # With less contrast an image shows nothing, and constant depth is not an error.
 _MIN_CONTRAST = 2.0
 _SAMPLED_SIDE = 96
-# A network that gives values for a smaller share of the corridor is not judged by it.
+# A network with valid values for a smaller share of the corridor is not judged by it.
 _MIN_SEEN = 0.5
 
 CORRIDOR_SIZE = (640, 480)
@@ -66,7 +66,7 @@ def check_values(values: np.ndarray, kind: str, rgb: np.ndarray) -> None:
     """
     Raise ImplausibleDepthError for an output (h, w) that cannot be depth of its stated kind.
 
-    Values of only one kind are an error unless the image (H, W, 3) shows nothing.
+    Constant values are an error unless the image (H, W, 3) shows nothing.
     """
     values = _sample(values)
     finite = values[np.isfinite(values)]

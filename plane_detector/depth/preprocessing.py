@@ -17,8 +17,8 @@ from plane_detector.types import CameraIntrinsics
 _SHRINKING = {'cubic': cv2.INTER_CUBIC, 'area': cv2.INTER_AREA, 'linear': cv2.INTER_LINEAR}
 _GROWING = {'cubic': cv2.INTER_CUBIC, 'area': cv2.INTER_CUBIC, 'linear': cv2.INTER_LINEAR}
 _LONGEST_ASPECT = 10
-# Images so many times larger than the input are first reduced by their mean to twice its size:
-# bytes are faster than floats, and cubic interpolation would use one pixel of sixteen.
+# Images this many times larger than the input are first averaged down to twice its size: bytes are
+# faster than floats, and cubic interpolation would use one pixel of sixteen.
 _FIRST_REDUCED = 4
 
 
@@ -195,7 +195,7 @@ def finish_output(raw: np.ndarray, size: tuple[int, int], output: str) -> np.nda
     Return a network's output (h, w) resized to an image of ``size``, width and height, float32.
 
     It is NaN where the output is not finite or not positive. Depth is interpolated as disparity,
-    in which planes are linear; otherwise they would bend.
+    because planes are linear in it; otherwise they would bend.
     """
     values = np.array(raw, np.float32)
     values[~((values > 0) & (values < np.inf))] = np.nan

@@ -1,13 +1,14 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Recognition of depth images that hold the distance along each ray, and not the depth z.
+Recognition of depth images that contain the distance along each ray instead of the depth z.
 
 Along the ray (x, y, 1) the distance is z s, with s = sqrt(1 + x^2 + y^2). On a plane 1/z is linear
-in the pixel, and so the inverse of what the image holds is a linear function times s^-k: k is 0
-for depth and 1 for distance, whatever the plane. In each part of the image, ln s is therefore
-fitted beside a linear function; parts that are no plane give any k, most with a large error. One
-ball that fills the image at the distance of its radius looks like a wall along the rays.
+in the pixel, so the inverse of the image value is a linear function times s^-k: k is 0 for depth
+and 1 for distance, whatever the plane. In each part of the image, ln s is therefore fitted
+together with a linear function; parts that are not planes give arbitrary k, mostly with a large
+error. A single ball that fills the image at the distance of its radius looks like a wall in
+distances along the rays.
 """
 
 from __future__ import annotations
@@ -20,27 +21,27 @@ from plane_detector.geometry.projection import ray_lengths
 from plane_detector.types import CameraIntrinsics
 
 # chosen: means of square cells of a 60th of the shorter side, and parts of 8 x 8 and 16 x 16 of
-# them, overlapping by half: small ones for rooms full of things, large ones where there is noise.
+# them, overlapping by half: small ones for cluttered rooms, large ones for noise.
 _CELLS, _PARTS = 60, (8, 16)
 _LEAST_VALID = 0.8  # chosen: of the cells of a part
-# chosen: a part is counted whose k has a smaller standard deviation, and it shows 0 or 1 where k
+# chosen: a part counts if k has a smaller standard deviation than this; it indicates 0 or 1 if k
 # is within twice that.
 _MOST_SIGMA, _NEAR = 0.15, 0.3
-# tuned: of 347 images of 15 depth sensors none is taken for the other kind; where six parts count,
-# at most .22 of them show it. Turned into distances, 230 of them are told, into depth 247; most of
-# the others have fewer than six parts that count.
+# tuned: of 347 images of 15 depth sensors none is mistaken for the other kind; where six parts
+# count, at most .22 of them indicate it. Converted to distances, 230 of them are recognised, to
+# depth 247; most of the others have fewer than six parts that count.
 _LEAST_COUNT, _LEAST_SHARE, _MOST_AGAINST = 6, 0.5, 0.1
 
 
 def kind_note(depth_m: np.ndarray, intrinsics: CameraIntrinsics, kind: str) -> str:
     """
-    Return that a depth image is of the other kind than stated, and the remedy; empty if not clear.
+    Return that a depth image is not of the stated kind, and the remedy; empty if unclear.
 
     Parameters
     ----------
     depth_m : (H, W) float32
-        Depth by the stated kind, NaN invalid: with ``ray``, what was given over the length of
-        each ray.
+        Depth according to the stated kind, NaN invalid: for ``ray``, the given values over the
+        length of each ray.
     intrinsics : CameraIntrinsics
     kind : str
         ``z`` or ``ray``.
@@ -56,7 +57,7 @@ def kind_note(depth_m: np.ndarray, intrinsics: CameraIntrinsics, kind: str) -> s
             if kind == 'z':
                 return (f'the depth is the distance from the camera along each ray, not along the '
                         f'optical axis: {parts} are plane only as such; set depth.kind to ray')
-            return ('the depth is that along the optical axis, not the distance along each ray: '
+            return ('the depth is along the optical axis, not the distance along each ray: '
                     f'{parts} are plane only as such; set depth.kind to z')
     return ''
 
@@ -100,7 +101,7 @@ def _fitted(inverse: np.ndarray, log_lengths: np.ndarray, side: int) -> np.ndarr
         return (basis @ np.linalg.solve(
             products, np.swapaxes(basis, 1, 2) @ given[:, :, None]))[:, :, 0]
     plane = linear(values)
-    # v = plane (1 - k (ln s - its mean)), to first order in what ln s varies in the part.
+    # v = plane (1 - k (ln s - its mean)), to first order in the variation of ln s in the part.
     bend = plane * (logs - logs.mean(axis=1, keepdims=True)) * valid
     bend, rest = bend - linear(bend), values - plane
     with np.errstate(divide='ignore', invalid='ignore'):

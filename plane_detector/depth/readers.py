@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Meaning of the outputs of networks: which output is what, in which unit, and for which lens.
+Meaning of the outputs of networks: what each output is, its unit, and for which lens.
 
 References
 ----------
@@ -31,12 +31,12 @@ OWN_FOCAL = -1.0
 
 
 class OutputError(ValueError):
-    """The arrays of a network are not those that its table of outputs says."""
+    """The arrays of a network do not match its table of outputs."""
 
 
 @dataclass(frozen=True)
 class Outputs:
-    """Names of a network's outputs by what they are, empty for what it does not give."""
+    """Names of a network's outputs by their meaning; empty for what it does not provide."""
 
     kind: str  # as in `plane_detector.types.Prediction`
     # One image in the unit of the kind. If no output is named, the only one, or the only one with
@@ -50,7 +50,7 @@ class Outputs:
     points: str = ''
     mask: str = ''  # validity of the points, 0 to 1
     scale: str = ''  # one number, metres per unit of the points
-    normals: str = ''  # in the optical frame, all to the camera or all away from it
+    normals: str = ''  # in the optical frame, all toward the camera or all away from it
     confidence: str = ''  # of the normals
     is_indoor: bool = False  # trained on indoor images only
 
@@ -71,7 +71,7 @@ class Outputs:
                 for role, array in zip(roles, arrays, strict=True)}
 
     def raw(self, arrays: Sequence[np.ndarray]) -> np.ndarray:
-        """Return the values that encode the depth, (h, w), as they are; may raise OutputError."""
+        """Return the values that encode the depth, (h, w), unchanged; may raise OutputError."""
         maps = self.maps(arrays)
         if not self.points:
             return maps['depth']
@@ -123,10 +123,10 @@ def _as_map(array: np.ndarray, channels: int) -> np.ndarray:
 def _finished_normals(raw: np.ndarray, framing: Framing,
                       intrinsics: CameraIntrinsics) -> np.ndarray:
     """
-    Return normals (h, w, 3) resized to the image, of length 1 and pointing to the camera.
+    Return normals (h, w, 3) resized to the image, of length 1 and pointing toward the camera.
 
-    Networks differ in the side that a normal points to, but each is consistent: if most normals
-    point away from the camera, all are reversed.
+    Networks differ in the direction of normals, but each is consistent: if most normals point away
+    from the camera, all are reversed.
     """
     normals = np.ascontiguousarray(framing.resized(np.ascontiguousarray(raw)))
     length = np.linalg.norm(normals, axis=-1, keepdims=True)

@@ -5,9 +5,9 @@ Temporal filter that reduces the flicker of a network's disparity while the scen
 
 Sensor noise changes the output of a network in each frame, even if the camera does not move. While
 nothing moves, the disparity is averaged over time. As soon as anything moves, the whole new image
-is used unfiltered: a lag would bend planes, and filtering a part of the image would create two
-noise levels, but the segmentation estimates only one. Image and disparity are compared with their
-averages, so that slow motion is detected too.
+is used unfiltered: a lag would bend planes, and filtering only a part of the image would create
+two noise levels, whereas the segmentation estimates one. Image and disparity are compared with
+their averages, so that slow motion is detected too.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _DEPTH_SIGMAS, _DEPTH_SHARE, _BLOCK_PX = 4.0, 0.1, 8
 # a smaller share is noise or, with its surroundings, too small for a plane.
 _GREY_MOVING, _DEPTH_MOVING, _SPREAD_PX = 0.0005, 0.005, 8
 _STEP_PX = 4  # statistics use every fourth row and column
-# Of a moving camera most images change almost everywhere: bands of rows already tell.
+# With a moving camera most images change almost everywhere, so bands of rows suffice.
 # chosen: a seventh of an image of 480 rows.
 _BANDS, _BAND_PX = 4, 16
 # With fewer edge pixels a static camera cannot be recognised.
@@ -98,7 +98,7 @@ def _blurred(brightness: np.ndarray) -> np.ndarray:
 
 
 def _surely_moves(previous: FilteredDisparity, alone: FilteredDisparity) -> bool:
-    """Return whether some rows alone change in too many pixels, at the largest noise."""
+    """Return whether some rows alone change in too many pixels, assuming the largest noise."""
     changed = cv2.absdiff(previous.bands, alone.bands) > _GREY_SIGMAS * _GREY_NOISE[1]
     return np.count_nonzero(changed) > _GREY_MOVING * alone.brightness.size
 
@@ -128,7 +128,7 @@ def _averaged(previous: FilteredDisparity, alone: FilteredDisparity, keep: float
 
 
 def _mixed(old: np.ndarray, new: np.ndarray, weight: float, where: np.ndarray) -> np.ndarray:
-    """Return the average of images (H, W) float32; that of the new one elsewhere."""
+    """Return the average of images (H, W) float32; the new image elsewhere."""
     mixed = cv2.addWeighted(old, weight, new, 1 - weight, 0)
     if not where.all():
         np.copyto(mixed, new, where=~where)

@@ -3,10 +3,10 @@
 """
 Average of a network's depth over several views of one image (test-time augmentation).
 
-A small network is best on images with the field of view that it was trained with. Of the image of
-a wider lens, two crops have that; one is mirrored, so that their errors differ. Each is brought to
-the scale of the whole image, since a crop looks like the image of a longer lens. Crops of an image
-that is already narrower would only be worse.
+A small network is best on images with the field of view that it was trained with. Two crops of the
+image of a wider lens have that field of view; one is mirrored, so that their errors differ. Each
+is scaled to the whole image, because a crop looks like the image of a longer lens. Crops of an
+image that is already narrower would only be worse.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ def choose_views(lens_ratio: float, most: int) -> tuple[View, ...]:
 
 def average_views(views: Sequence[View], predictions: Iterable[Prediction]) -> Prediction:
     """
-    Average the disparity of views, the whole image first, at whose scale the result is.
+    Average the disparity of views at the scale of the first one, the whole image.
 
     Predictions are metric depth or disparity; the result is NaN where all of them are invalid.
     """
@@ -104,7 +104,7 @@ def _inverted(values: np.ndarray, kind: str) -> np.ndarray:
 
 
 def _median_ratio(target: np.ndarray, source: np.ndarray) -> np.float32:
-    """Return the factor that brings source to the scale of target; 1 if they share no pixel."""
+    """Return the factor from the scale of source to that of target; 1 if they share no pixel."""
     ratio = target[::SAMPLE_STEP, ::SAMPLE_STEP] / source[::SAMPLE_STEP, ::SAMPLE_STEP]
     ratio = ratio[np.isfinite(ratio)]
     return np.float32(median(ratio) if ratio.size else 1)

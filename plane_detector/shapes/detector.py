@@ -79,7 +79,7 @@ class ShapeDetector:
     def detect(self, depth_m: np.ndarray, planes: PlaneSegmentation, regions: PixelRegions,
                intrinsics: CameraIntrinsics, config: Config) -> PlanesAndShapes:
         """
-        Return planes and shapes as :func:`find_shapes`; tracked shapes keep their labels.
+        Return planes and shapes as :func:`find_shapes` does; tracked shapes keep their labels.
 
         The depth is in metres, and shapes are requested.
         """
@@ -90,7 +90,7 @@ class ShapeDetector:
         if not config.tracking.enabled:
             self.reset()
             return planes, shapes, shape_labels
-        if shape_labels.shape != self._size:  # their pixels are of images of another size
+        if shape_labels.shape != self._size:  # their pixels are from images of another size
             self.reset()
             self._size = shape_labels.shape
         self._tracks, labels = update_shape_tracks(

@@ -3,9 +3,9 @@
 """
 Least squares of shapes and planes on points with noise along their rays, and their comparison.
 
-Rays along the silhouette touch the shape, whatever the noise of the depth. Each is represented by
-its point closest to the surface. The distance is minimal there, so its derivatives are the same as
-for any other point.
+Rays along the silhouette are tangent to the shape, whatever the noise of the depth. Each is
+represented by its point closest to the surface. The distance is minimal there, so its derivatives
+are the same as for a fixed point.
 
 References
 ----------
@@ -50,7 +50,7 @@ _FIRST_DAMPING, _DAMPING_STEP = 1e-3, 10.0
 # tuned: benchmark shapes --first-seed 100 --scenes 40; flat from 0.7 to 1.4 times.
 _MOST_SLACK_PX = 12.0
 # chosen: the smallest shape, a thousandth of 640 x 480 pixels, has twice as many around it.
-# Sensors that measure nothing next to an edge give only a few rays, at arbitrary positions.
+# Sensors that measure nothing next to an edge provide only a few rays, at arbitrary positions.
 _MIN_RAYS = 30
 # A shape is rejected if its size is less certain than this, by the covariance of the fit.
 # tuned: benchmark shapes --first-seed 100 --scenes 40; flat from 0.7 to 1.4 times.
@@ -206,7 +206,7 @@ def weights_of_rays(shape, rays, pixel, slack_px):
     """
     Return the weights of rays (M, 4) on a shape, 1 / side of a pixel.
 
-    The weight is 0 if a ray is further off than the slack, or its pixel is behind the silhouette.
+    The weight is 0 if a ray is farther off than the slack, or its pixel is behind the silhouette.
     """
     turn, weight = turn_of(shape), np.zeros(len(rays))
     for i in range(len(rays)):
@@ -260,14 +260,14 @@ def least_squares(shape, freedoms, points, rays, weight):
     """
     Return the least-squares shape (8,) and its information (F, F), by Levenberg and Marquardt.
 
-    Scipy's gives the same shapes in three times the time, most of it between the calls for a few
-    hundred points.
+    Scipy's version gives the same shapes in three times the time, mostly overhead of the calls for
+    a few hundred points.
     """
     damping, (distance, slope) = _FIRST_DAMPING, linearized(shape, freedoms, points, rays, weight)
     before = (distance * distance).sum()
     for _ in range(_MOST_STEPS):
         square, steps = slope @ slope.T, np.zeros(7)
-        least = TINY * np.trace(square)  # otherwise what nothing depends on has no solution
+        least = TINY * np.trace(square)  # otherwise parameters without any effect have no solution
         for k in range(len(freedoms)):
             square[k, k] += damping * square[k, k] + least
         way = np.linalg.solve(square, slope @ distance)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""From cells to pixels: the extent of a shape and whether it ends there, labels, measurement."""
+"""From cells to pixels: the extent of a shape, whether it ends there, labels, measurement."""
 
 from __future__ import annotations
 
@@ -35,14 +35,14 @@ PlanesAndShapes = tuple[PlaneSegmentation, tuple[Shape, ...], np.ndarray]
 MIN_SHARE, _MOST_SHAPES = 0.001, 16
 # Pixels at a silhouette are mixtures, so the surroundings are examined this far outside.
 _RING_PX = 3
-# derived: over this many pixels a surface at 45 degrees to the ray changes as much in depth.
+# derived: over this many pixels, the depth of a surface at 45 degrees to the ray changes as much.
 _MAX_GAP_PX = _RING_PX + 1.0
 # Quantiles, so that a few outliers do not lengthen a shape.
 _LENGTH_QUANTILES = (0.01, 0.99)
 # Pieces are merged if one shape explains this share of the pixels of both.
 # tuned: benchmark shapes --first-seed 100 --scenes 40; flat from 0.63 to 0.93.
 _MIN_JOINT_SHARE = 0.9
-# derived: saves a fit of a third of a millisecond; no fit explains pieces that are further apart.
+# derived: saves a fit of a third of a millisecond; no fit explains pieces that are farther apart.
 _FAR_DEVIATIONS = 10 * DEVIATIONS
 
 
@@ -109,7 +109,7 @@ def without_planes(found: PlaneSegmentation, gone: np.ndarray) -> PlaneSegmentat
 
 
 def _joined(view: DepthView, found: list[FoundShape]) -> list[FoundShape]:
-    """Merge pieces of one shape that a plane or a nearer object separates."""
+    """Merge pieces of one shape that are separated by a plane or a nearer object."""
     for k, one in enumerate(found):
         for other in found[k + 1:]:
             if one.fit.type is other.fit.type and (both := _as_one(view, one, other)):

@@ -53,7 +53,7 @@ _HYPOTHESES = 400
 _TRIES = 4
 # chosen: with a smaller angle it resembles a cylinder, with a larger one a plane with a dent.
 _HALF_ANGLES_RAD = (np.radians(4.0), np.radians(70.0))
-# chosen: radii of the smallest and the largest sphere or cylinder, and of what is seen of a cone.
+# chosen: radii of the smallest and the largest sphere or cylinder, and visible part of a cone.
 _SMALLEST_M, _LARGEST_M = 0.02, 1.5
 # Determinant of three unit normals below which they are coplanar.
 _MIN_DETERMINANT = 1e-6
@@ -157,7 +157,7 @@ def _unit(vectors: np.ndarray) -> np.ndarray:
 
 
 def _is_sane(shapes: np.ndarray, seeds_m: np.ndarray) -> np.ndarray:
-    """Return which shapes (H, 8) are as large at their seeds (H, 3) as allowed; NaN is not."""
+    """Return which shapes (H, 8) have an allowed size at their seeds (H, 3); False for NaN."""
     radius_m, angle = shapes[RADIUS], shapes[HALF_ANGLE]
     along_m = _dot(seeds_m - shapes[POSITION], shapes[AXIS])
     low, high = _HALF_ANGLES_RAD

@@ -95,8 +95,8 @@ def distance_deviation(shape, turn, point, noise):
     """
     Return the distance of a point from a shape and its standard deviation.
 
-    Noise moves a point along its ray, which changes its distance less the closer the ray is to a
-    tangent. Then the side of the pixel and the curvature dominate. The noise is the standard
+    Noise moves a point along its ray; the closer the ray is to a tangent, the less this changes
+    the distance. Then the side of the pixel and the curvature dominate. The noise is the standard
     deviation of z, and the side of the pixel at z.
     """
     x, y, z = point

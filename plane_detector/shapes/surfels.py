@@ -101,7 +101,7 @@ def surfels_of_grid(grid: CellGrid, intrinsics: CameraIntrinsics, noise: Noise) 
 
 def smooth_components(surfels: Surfels, free: np.ndarray) -> np.ndarray:
     """Return the component (R * C,) of smoothly connected free cells (R * C,), -1 for others."""
-    # Here, because a node that looks for planes only does not need it: scipy takes 46 MB.
+    # Imported here, because a node that only detects planes does not need it: scipy takes 46 MB.
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
     cells = np.arange(len(free)).reshape(surfels.shape)

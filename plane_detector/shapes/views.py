@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the search for shapes sees of an image: the pixels of cells, the silhouette, rays."""
+"""The search's view of an image: the pixels of cells, the silhouette, rays."""
 
 from __future__ import annotations
 
@@ -208,7 +208,8 @@ class DepthView:
         """
         Return a sample of the rays between free pixels and a background far behind them.
 
-        The cells are (R * C,); ``around`` (R, C) has also those that the silhouette may cross.
+        The cells are (R * C,); ``around`` (R, C) also includes cells that the silhouette may
+        cross.
         """
         inside = cv2.erode(cells.reshape(self.shape).astype(np.uint8), np.ones((3, 3), np.uint8))
         camera, noise = self.intrinsics, self.noise
