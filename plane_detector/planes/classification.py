@@ -9,21 +9,19 @@ import math
 import numpy as np
 
 from plane_detector._runtime.compilation import kernel
-from plane_detector.planes.history import PlaneHistory
+from plane_detector.planes.history import YIELDING_PROBABILITY, PlaneHistory
 from plane_detector.types import Plane, PlaneClass, Planes
 
 # Largest inclination of a plane that still counts as horizontal or vertical.
 TOLERANCE_DEG = 8.0
+_LEVEL_KINDS = (PlaneClass.FLOOR, PlaneClass.CEILING, PlaneClass.OTHER_HORIZONTAL,
+                PlaneClass.STEP)
 # A class is given if it is right with this probability, as the vertical is.
 MIN_PROBABILITY = 0.9
 # The same for planes that the lines of the image oriented. Their probability counts that a piece
 # may be of several surfaces, too; whoever asks for 0.9 loses a third of the true walls and floors
 # of a small network. chosen: a class is four times as likely right as wrong.
 MIN_ORIENTED_PROBABILITY = 0.8
-# What these limits yield for the class that a plane had, and exceed them for another.
-# tuned: switches of class of planes of over 1 % of the image in four real videos, one image to the
-# next: 175 of 2511 alone, 57 with averages, 16 with these, 8 with twice as much.
-YIELDING_DEG, YIELDING_PROBABILITY = 1.0, 0.05
 # Shares of vertical, horizontal and other planes among those whose normal is known to 2 degrees.
 # measured: 103 planes in the sensors' depth of 16 frames of Kinect, NYU and kitchen.
 UPRIGHT_SHARE, LEVEL_SHARE, OTHER_SHARE = 0.42, 0.26, 0.32
@@ -71,11 +69,8 @@ def classify_planes(planes: Planes, down: np.ndarray,
     facing_down = planes.normals @ down if past is None else past.cosines
     offsets, upright, level = planes.offsets_m, TOLERANCE_DEG, TOLERANCE_DEG
     if past is not None:
-        is_known, is_wall = past.classes != PlaneClass.UNKNOWN, past.classes == PlaneClass.WALL
-        is_level = is_known & ~np.isin(past.classes, (
-            PlaneClass.WALL, PlaneClass.OTHER, PlaneClass.RAMP))
-        upright, level = (TOLERANCE_DEG + YIELDING_DEG * np.where(was, 1, -1) * is_known
-                          for was in (is_wall, is_level))
+        upright = TOLERANCE_DEG + past.yields_deg(PlaneClass.WALL)
+        level = TOLERANCE_DEG + past.yields_deg(_LEVEL_KINDS)
     above = facing_down >= np.cos(np.radians(level))
     outermost = above & (offsets >= (1.0 - SAME_LEVEL_SHARE) * offsets[above].max(initial=0.0))
     classes = np.full(len(planes), PlaneClass.OTHER, np.uint8)
