@@ -310,7 +310,8 @@ class PlaneDetector:
             planes = state.tracker.update(planes, config.tracking)
             remembers = (config.segmentation.memory and config.tracking.enabled
                          and observation.is_measured)
-            past = (state.history if remembers else NO_HISTORY).of(planes.planes)
+            past = (state.history if remembers else NO_HISTORY).of(
+                planes.planes, observation.intrinsics)
             planes = replace(planes, planes=replace(
                 planes.planes, confidences=past.mean_confidences(planes.planes)))
         with timer('ground'):
@@ -328,7 +329,7 @@ class PlaneDetector:
                 depth_m = np.where(ground.fronts, observation.constants_m, depth_m)
             planes = replace(planes, planes=replace(
                 planes.planes, classes=ground.classes[:len(planes.planes)]))
-            state.history = ground.past.after(planes.planes)
+            state.history = (ground.past.after(planes.planes) if remembers else NO_HISTORY)
             self._directions.at(observation.epoch).note_planes(planes, is_trusted=(
                 observation.is_measured and surroundings.gravity.gravity_camera is not None))
         with timer('patches'):

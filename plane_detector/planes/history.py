@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from plane_detector.types import PlaneClass, Planes
+from plane_detector.types import CameraIntrinsics, PlaneClass, Planes
 
 # chosen: a third of a second, as the evidence of the segmentation.
 MOST_IMAGES = 10
@@ -37,14 +37,17 @@ class PlaneHistory:
     # Averages of normal . gravity; NaN where not known.
     cosines: np.ndarray = field(default_factory=lambda: np.empty(0))
     classes: np.ndarray = field(default_factory=lambda: np.empty(0, np.uint8))  # the last ones
+    camera: CameraIntrinsics | None = None  # of the image
 
-    def of(self, planes: Planes) -> PlaneHistory:
+    def of(self, planes: Planes, camera: CameraIntrinsics) -> PlaneHistory:
         """Return what is known of the planes of the next image, by their labels."""
         rows = {label: row for row, label in enumerate(self.labels.tolist())}
-        row = np.array([rows.get(label, len(rows)) for label in planes.labels.tolist()], int)
+        none = len(rows)
+        row = np.array([rows.get(label, none) if camera == self.camera else none
+                        for label in planes.labels.tolist()], int)
         return PlaneHistory(planes.labels, *(np.append(column, none)[row] for column, none in (
             (self.images, 0), (self.confidences, np.nan), (self.cosines, np.nan),
-            (self.classes, np.uint8(PlaneClass.UNKNOWN)))))
+            (self.classes, np.uint8(PlaneClass.UNKNOWN)))), camera)
 
     def mean_confidences(self, planes: Planes) -> np.ndarray:
         """Return the confidences (K,) with those of the same planes in the next image."""
@@ -74,7 +77,8 @@ class PlaneHistory:
         """Return the history of an image, with the confidences and classes of its planes."""
         rows = len(planes)
         return PlaneHistory(planes.labels, np.minimum(self.images + 1, MOST_IMAGES - 1),
-                            planes.confidences, self.cosines[:rows], planes.classes)
+                            planes.confidences, self.cosines[:rows], planes.classes,
+                            self.camera)
 
     def _mean(self, before: np.ndarray, now: np.ndarray, is_same: np.ndarray) -> np.ndarray:
         return np.where(is_same, (self.images * np.where(is_same, before, 0.0) + now)

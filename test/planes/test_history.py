@@ -38,7 +38,7 @@ def leaning(off_level_deg, sigma_deg=1.0, label=1, confidence=0.8):
 def seen(history, *planes):
     """Return the classes of the planes of the next image, and the history after it."""
     found = Planes.of(planes)
-    past = history.of(found).inclined(found, DOWN)
+    past = history.of(found, CAMERA).inclined(found, DOWN)
     found = replace(found, confidences=past.mean_confidences(found),
                     classes=classify_planes(found, DOWN, past))
     return found, past.after(found)
@@ -108,9 +108,18 @@ def test_a_confidence_is_the_mean_of_ten_images():
 
 def test_without_planes_there_is_no_history():
     _, history = seen(NO_HISTORY, leaning(0.0))
-    past = history.of(NO_PLANES).inclined(NO_PLANES, DOWN)
+    past = history.of(NO_PLANES, CAMERA).inclined(NO_PLANES, DOWN)
     assert past.mean_confidences(NO_PLANES).size == 0 and not past.after(NO_PLANES).labels.size
     assert isinstance(past, PlaneHistory)
+
+
+def test_planes_of_another_camera_are_new():
+    _, history = seen(NO_HISTORY, leaning(0.0))
+    found = Planes.of([leaning(0.0)])
+    assert history.of(found, CAMERA).images.tolist() == [1]
+    half = CameraIntrinsics(131.25, 131.25, 79.5, 59.5, 160, 120)
+    for other in (half, replace(CAMERA, fx=300.0)):
+        assert history.of(found, other).images.tolist() == [0]
 
 
 def panel(off_deg):
@@ -163,6 +172,20 @@ def test_without_memory_or_tracking_each_image_has_its_own_classes(config):
             is_plain = np.isin(one.planes.classes, (PlaneClass.WALL, PlaneClass.OTHER))
             assert is_plain.any()
             assert one.planes.classes[is_plain].tolist() == fresh[is_plain].tolist()
+
+
+def test_what_was_switched_off_is_not_remembered():
+    """Labels of planes that are not tracked are no labels of the same planes."""
+    scene, found = panel(8.0), []
+    untracked = replace(DEPTH, tracking=TrackingConfig(enabled=False))
+    for config in (untracked, DEPTH):
+        detector = PlaneDetector(untracked)
+        detections(untracked, [scene] * 4, detector=detector)
+        detector.config = config
+        found += detections(config, [scene], start_s=0.2, detector=detector)
+    one, other = (one.planes for one in found)
+    assert one.confidences.tolist() == other.confidences.tolist()
+    assert one.classes.tolist() == other.classes.tolist()
 
 
 @pytest.mark.parametrize('how', ['reset', 'jump back in time'])
