@@ -245,6 +245,19 @@ def compile_kernels(subjects: Iterable[str], log: Callable[[str], None] = lambda
     _remove_unused(wanted)
 
 
+def free_intermediate_code() -> None:
+    """
+    Free the code from which numba would link loaded kernels into others, where none calls them.
+
+    It is two thirds of the memory of the kernels. Numba has no public name for it; should the
+    private one change, the memory stays. Only for programs that have imported all kernels: one
+    that is imported later, and calls a kernel that none called before, cannot be compiled.
+    """
+    for one in _own_kernels({one.subject for one in _KERNELS}):
+        for overload in one._compiled.overloads.values() if one.is_ready else ():
+            overload.library._shared_module = None
+
+
 @cache
 def load_once(*subjects: str) -> None:
     """Compile or load the kernels of these subjects, only at the first call in a process."""

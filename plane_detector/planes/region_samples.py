@@ -75,13 +75,7 @@ class RegionSamples:
 
         The noise is near constant in 1/z, which is cosine / distance: least squares there.
         """
-        cosine = -np.einsum('ij,ij->i', normals[self.region], self.rays)
-        seen = np.where(cosine > MIN_COSINE, cosine, 0.0)
-        squares, products, usable, pixels = (
-            np.bincount(self.region, values, self.count)
-            for values in (seen**2, seen * self.disparity, seen > 0, np.ones(len(seen))))
-        is_known = usable >= np.maximum(MIN_SAMPLES, MIN_POSSIBLE_SHARE * pixels)
-        return np.divide(squares, products, out=np.full(self.count, np.nan), where=is_known)
+        return _offsets(self.rays, self.disparity, self.region, np.ascontiguousarray(normals))
 
     @cached_property
     def roughness(self) -> np.ndarray:
@@ -124,6 +118,25 @@ def sample_regions(regions: PixelRegions, planes: Planes,
     shares = np.bincount(region, minlength=len(planes)) / labels.size
     return RegionSamples(rays, disparity[row, column].astype(float), region,
                          -np.einsum('ij,ij->i', planes.normals[region], rays), shares)
+
+
+@kernel('float64[::1](float64[:, ::1], float64[::1], int64[::1], float64[:, ::1])',
+        is_short=True, subject='network')
+def _offsets(rays, disparity, region, normals):
+    sums, found = np.zeros((len(normals), 4)), np.full(len(normals), np.nan)
+    for i in range(len(rays)):
+        k = region[i]
+        cosine = -(normals[k, 0] * rays[i, 0] + normals[k, 1] * rays[i, 1]
+                   + normals[k, 2] * rays[i, 2])
+        sums[k, 3] += 1
+        if cosine > MIN_COSINE:
+            sums[k, 0] += cosine * cosine
+            sums[k, 1] += cosine * disparity[i]
+            sums[k, 2] += 1
+    for k in range(len(normals)):
+        if sums[k, 2] >= max(MIN_SAMPLES, MIN_POSSIBLE_SHARE * sums[k, 3]):
+            found[k] = sums[k, 0] / sums[k, 1]
+    return found
 
 
 @kernel('float64[:, ::1](float64[:, ::1], int64[::1], float64[::1], float64[:, :, ::1])',

@@ -23,7 +23,7 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
-from plane_detector._runtime.compilation import compile_kernels
+from plane_detector._runtime.compilation import compile_kernels, free_intermediate_code
 from plane_detector._runtime.dependencies import explanation
 from plane_detector._runtime.plain_text import plain
 from plane_detector._runtime.process import tidy_after_loading
@@ -333,6 +333,7 @@ class PlaneDetectorNode(LifecycleNode):
         # The network first: if it is missing, that is reported before kernels are compiled.
         detector = PlaneDetector(self._live.config, self._depth_model)
         load_kernels(self._live.config, self.get_logger().info)
+        free_intermediate_code()
         tidy_after_loading()
         # Planes are published meanwhile; a frame whose obstacles are subscribed to waits for it.
         Background(self._load_late_kernels, 'load_kernels')
@@ -343,6 +344,7 @@ class PlaneDetectorNode(LifecycleNode):
         try:
             compile_kernels(['ground_pixels'], self.get_logger().info,
                             'the kernels of ground, obstacles and drops')
+            free_intermediate_code()
         except Exception as error:
             reason = plain(f'{type(error).__name__}: {error}')
             self._health.late_failure = reason

@@ -235,3 +235,29 @@ def last_of_sequence(steps):
     for _ in range(steps):  # no formula: a compiler cannot leave the loop out
         value = (value ^ (value >> 7)) * 6364136223846793005 + 1442695040888963407
     return value
+
+
+def test_kernels_run_and_are_called_after_their_intermediate_code_is_freed(sample):
+    after = """
+import numba
+import numpy as np
+from plane_detector._runtime import compilation
+from sample.stage.loops import halved, picked
+from sample.stage.parts import part
+compilation.compile_kernels(['stage', 'later'])
+part.compiled()
+compilation.free_intermediate_code()
+for one in (picked, halved, part):
+    (overload,) = one.compiled().overloads.values()
+    print(one.__name__, overload.library._shared_module is None)
+print(picked(np.array([10.0, 20.0])), halved(8.0))
+called = part.compiled()
+print(numba.njit('f8(f8)')(lambda value: called(value) + called(value))(4.0))
+"""
+    run = 'import sample.stage.loops\n' + after
+    first = sample(1, '+', before=run)
+    loaded = sample(1, '+', before=run)
+    # What is compiled, and what is loaded from the cache.
+    for lines in (first, loaded):
+        lines = [line for line in lines if 'kernels' not in line]
+        assert lines == ['picked True', 'halved True', 'part False', '21.0 4.0', '10.0', '21.0']
