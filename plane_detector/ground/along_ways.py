@@ -3,6 +3,7 @@
 """
 Kernels along the ways of an image (`ways`), from the nearest line outward, away from the robot.
 
+An image is its depth, its labels, and the slopes of the rays of its columns and rows.
 A plane is a row of five numbers: normal and offset, both divided by the vertical component of the
 normal, and the inverse of that component. With s = normal . ray, a pixel of depth z is s z +
 offset above the plane along gravity, and its ray meets the plane at z = -offset / s. An error e of
@@ -16,7 +17,19 @@ import numpy as np
 
 from plane_detector._runtime.compilation import kernel
 from plane_detector.geometry.disparity import MIN_DEPTH_M
-from plane_detector.ground.ways import FRACTION_BITS
+from plane_detector.ground.ways import (
+    DU,
+    DV,
+    END,
+    FIRST,
+    FRACTION_BITS,
+    HIGH,
+    LOW,
+    START,
+    STEP,
+    U,
+    V,
+)
 
 # What follows was tuned by benchmark ground on seeds below 9000, unless derived; nothing changes
 # there from .7 to 1.4 times a value unless stated. Borders of regions are accurate within this
@@ -52,27 +65,34 @@ LEVEL = 1.004
 # its edges.
 BEYOND_SHARE = 0.8
 
-_DEPTH, _LABELS = (f"Array({kind}, 2, 'C', readonly=True)" for kind in ('float32', 'int32'))
-_RAYS, _PLANES, _LINES = 'float32[::1], float32[::1]', 'float32[:, ::1]', 'int64[:, ::1]'
+# derived: the columns of planes behind the normal, and of drops behind the point.
+OFFSET, INVERSE = 3, 4
+DROP, WAY, NEXT_DEPTH, NEXT_RANGE, MEASURED = range(3, 8)
+# Types of the loops' arguments.
+_LABELS = "Array(int32, 2, 'C', readonly=True)"
+_RAYS, _PLANES, _LINES = 'UniTuple(float32[::1], 2)', 'float32[:, ::1]', 'int64[:, ::1]'
+_SEEN = f"Tuple((Array(float32, 2, 'C', readonly=True), {_LABELS}, {_RAYS}))"
+_WAYS = f'Tuple(({_LINES}, int64))'
 
 
 @kernel(f'UniTuple(int64, 10)({_LINES}, int64)')
 def _line(lines, i):
-    """Return the numbers of a line, see `Ways`."""
-    return (lines[i, 0], lines[i, 1], lines[i, 2], lines[i, 3], lines[i, 4], lines[i, 5],
-            lines[i, 6], lines[i, 7], lines[i, 8], lines[i, 9])
+    """Return the numbers of a line, in the order of its columns."""
+    return (lines[i, U], lines[i, V], lines[i, DU], lines[i, DV], lines[i, START], lines[i, STEP],
+            lines[i, FIRST], lines[i, END], lines[i, LOW], lines[i, HIGH])
 
 
 @kernel(f'int64({_LINES}, int64, int64)')
 def _position(lines, i, w):
     """Return the position of a way on a line."""
-    return min(max((lines[i, 4] + w * lines[i, 5]) >> FRACTION_BITS, lines[i, 8]), lines[i, 9] - 1)
+    at = (lines[i, START] + w * lines[i, STEP]) >> FRACTION_BITS
+    return min(max(at, lines[i, LOW]), lines[i, HIGH] - 1)
 
 
 @kernel('float32(float32[:, ::1], int64, float32, float32)')
 def _depth_on(planes, k, x, y):
     """Return the depth at which a ray meets a plane; negative or infinite if it does not."""
-    return -planes[k, 3] / (planes[k, 0] * x + planes[k, 1] * y + planes[k, 2])
+    return -planes[k, OFFSET] / (planes[k, 0] * x + planes[k, 1] * y + planes[k, 2])
 
 
 @kernel('float32(float32[::1], float32, float32)')
@@ -102,16 +122,18 @@ def first_met(labels, lines, count, possible):
     return votes
 
 
-@kernel(f'UniTuple(int32[:, ::1], 3)({_LABELS}, {_LINES}, int64, {_RAYS}, {_PLANES}, '
-        'float32[::1], boolean[::1], float64, float64)', is_short=True)
-def count_borders(labels, lines, ways, ray_x, ray_y, planes, down, walkable, max_step, max_riser):
+@kernel(f'UniTuple(int32[:, ::1], 3)({_LABELS}, {_WAYS}, {_RAYS}, {_PLANES}, float32[::1], '
+        'boolean[::1], UniTuple(float64, 2))', is_short=True)
+def count_borders(labels, ways, rays, planes, down, walkable, limits):
     """
     Return where walkable planes border on each other.
 
     The first table (K, K) counts the samples of a border at which both have the same height, or at
     which a riser that the robot climbs leads from one level to the other; the second those with a
-    higher riser, the third those at which one is higher than the other.
+    higher riser, the third those at which one is higher than the other. The limits are the highest
+    step and the highest riser.
     """
+    (lines, way_count), (ray_x, ray_y), (max_step, max_riser) = ways, rays, limits
     count = len(planes)
     joins, risers = np.zeros((count, count), np.int32), np.zeros((count, count), np.int32)
     steps = np.zeros((count, count), np.int32)
@@ -136,11 +158,12 @@ def count_borders(labels, lines, ways, ray_x, ray_y, planes, down, walkable, max
                         first, second = (_depth_on(planes, a, x, y), _depth_on(planes, b, x, y))
                         # Both are on one ray: the height between them, along gravity.
                         s = planes[a, 0] * x + planes[a, 1] * y + planes[a, 2]
-                        if abs(s * second + planes[a, 3]) <= max_step and first > 0 and second > 0:
+                        is_level = abs(s * second + planes[a, OFFSET]) <= max_step
+                        if is_level and first > 0 and second > 0:
                             joins[a, b] += 1
                             joins[b, a] += 1
                         break
-    last, track = np.full(ways, -1, np.int32), np.zeros(ways, np.float32)
+    last, track = np.full(way_count, -1, np.int32), np.zeros(way_count, np.float32)
     for i in range(len(lines)):
         u0, v0, du, dv, start, step, first, end, low, high = _line(lines, i)
         if (u0 + v0) % 2:
@@ -155,11 +178,11 @@ def count_borders(labels, lines, ways, ray_x, ray_y, planes, down, walkable, max
             far = z * _far(down, ray_x[u], ray_y[v])
             j = last[w]
             if j >= 0 and k != j:
-                up = planes[j, 3] - planes[k, 3]
+                up = planes[j, OFFSET] - planes[k, OFFSET]
                 s = planes[j, 0] * ray_x[u] + planes[j, 1] * ray_y[v] + planes[j, 2]
                 # Pixels without a plane between them, as where a floor is bent, do not separate
                 # them.
-                is_level = abs(s * z + planes[j, 3]) <= max_step
+                is_level = abs(s * z + planes[j, OFFSET]) <= max_step
                 if far - track[w] <= BEND_GAP_M:
                     steps[j, k] += not is_level
                     steps[k, j] += not is_level
@@ -171,17 +194,18 @@ def count_borders(labels, lines, ways, ray_x, ray_y, planes, down, walkable, max
                     if abs(up) > max_step:
                         risers[j, k] += 1
                         risers[k, j] += 1
-                    elif max(planes[j, 4], planes[k, 4]) < LEVEL:
+                    elif max(planes[j, INVERSE], planes[k, INVERSE]) < LEVEL:
                         joins[j, k] += 1
                         joins[k, j] += 1
             last[w], track[w] = k, far
     return joins, risers, steps
 
 
-@kernel(f'UniTuple(int64[::1], 2)({_DEPTH}, {_LABELS}, {_RAYS}, float32[::1], float64, float64, '
-        'int64)', is_short=True)
-def count_off_level(depth_m, labels, ray_x, ray_y, down, level_m, most_m, count):
+@kernel(f'UniTuple(int64[::1], 2)({_SEEN}, float32[::1], float64, float64, int64)',
+        is_short=True)
+def count_off_level(seen, down, level_m, most_m, count):
     """Count every eighth pixel of each plane (K,), and those of them that are off a level."""
+    (depth_m, labels, (ray_x, ray_y)) = seen
     pixels, off = np.zeros(count, np.int64), np.zeros(count, np.int64)
     for v in range(0, labels.shape[0], 8):
         for u in range(0, labels.shape[1], 8):
@@ -193,24 +217,24 @@ def count_off_level(depth_m, labels, ray_x, ray_y, down, level_m, most_m, count)
     return pixels, off
 
 
-@kernel(f'Tuple((boolean[:, ::1], float32[:, ::1]))({_DEPTH}, {_LABELS}, {_LINES}, int64, '
-        f'{_RAYS}, {_PLANES}, float32[::1], boolean[::1], int64, float64, float64, float64)',
-        subject='ground_pixels')
-def mark_ground(depth_m, labels, lines, ways, ray_x, ray_y, planes, down, is_ground, own,
-                min_height, slope, error):
+@kernel(f'Tuple((boolean[:, ::1], float32[:, ::1]))({_SEEN}, {_WAYS}, {_PLANES}, float32[::1], '
+        'boolean[::1], int64, UniTuple(float64, 3))', subject='ground_pixels')
+def mark_ground(seen, ways, planes, down, is_ground, own, limits):
     """
     Return the pixels (H, W) of the ground, and their height over the ground before them.
 
     Each is measured from the last plane of ground on its way and, if it is on a plane that is not
     ground, from the ground without a plane behind that. A pixel on no other plane may be on ground
     too small for a plane, such as the far end of a ramp: then it is measured from a point of the
-    ground shortly before it, for the tangent ``slope`` of the steepest ground. ``error`` is that
-    of 1/z. The height is NaN where depth is invalid.
+    ground shortly before it, for the steepest ground. The limits are the
+    height of the smallest obstacle, the tangent of the steepest ground and the error of 1/z. The
+    height is NaN where depth is invalid.
     """
-    height, width = depth_m.shape
+    (depth_m, labels, (ray_x, ray_y)), (lines, way_count) = seen, ways
+    (min_height, slope, error), (height, width) = limits, depth_m.shape
     ground, heights = np.zeros(height * width, np.bool_), np.empty(height * width, np.float32)
     depths, regions = depth_m.reshape(-1), labels.reshape(-1)
-    reference = np.full(ways, own, np.int32)
+    reference = np.full(way_count, own, np.int32)
     low_m, foot, error = np.float32(min_height), np.float32(FOOT_M), np.float32(error)
     nearest, endless, zero = np.float32(MIN_DEPTH_M), np.float32(np.inf), np.float32(0)
     # Of each way: the pixel in which it was last on a plane of the ground, until one is measured
@@ -218,12 +242,12 @@ def mark_ground(depth_m, labels, lines, ways, ray_x, ray_y, planes, down, is_gro
     # camera and ahead of it that is; sums of these and number of the pixels since; whether an
     # obstacle is between: the ground behind may be level, but is not seen to rise or fall; how
     # many pixels one after another may be one.
-    last_seen, higher = np.full(ways, -1, np.int32), np.zeros(ways, np.float32)
-    below, ahead = np.full(ways, np.nan, np.float32), np.zeros(ways, np.float32)
-    sums, since = np.zeros((ways, 2), np.float32), np.zeros(ways, np.int32)
-    is_hidden, misses = np.zeros(ways, np.bool_), np.zeros(ways, np.int32)
+    last_seen, higher = np.full(way_count, -1, np.int32), np.zeros(way_count, np.float32)
+    below, ahead = np.full(way_count, np.nan, np.float32), np.zeros(way_count, np.float32)
+    sums, since = np.zeros((way_count, 2), np.float32), np.zeros(way_count, np.int32)
+    is_hidden, misses = np.zeros(way_count, np.bool_), np.zeros(way_count, np.int32)
     # Of each way: by how much the ground without a plane is higher than the plane, and its pixels.
-    lift, lifted = np.zeros(ways, np.float32), np.zeros(ways, np.int32)
+    lift, lifted = np.zeros(way_count, np.float32), np.zeros(way_count, np.int32)
     slope = np.float32(slope)
     interval = low_m / max(slope, np.float32(1e-3))
     count = np.uint32(len(is_ground) - 1)
@@ -249,7 +273,7 @@ def mark_ground(depth_m, labels, lines, ways, ray_x, ray_y, planes, down, is_gro
                 if r != last:  # along the line, the height of depth 1 is s0 + slant at
                     s0 = planes[r, 0] * x0 + planes[r, 1] * y0 + planes[r, 2]
                     slant = planes[r, 0] * x_step + planes[r, 1] * y_step
-                    d, last = planes[r, 3], r
+                    d, last = planes[r, OFFSET], r
                 s = s0 + slant * np.float32(at)
                 h = s * z + d
                 if on_plane and not belongs and lifted[w] > MAX_MISSES:
@@ -287,7 +311,7 @@ def mark_ground(depth_m, labels, lines, ways, ray_x, ray_y, planes, down, is_gro
                     if not near and not is_hidden[w] and reference[w] != own:
                         # Behind a lower level, such as a reflection, the own floor continues.
                         h = (z * (planes[own, 0] * x + planes[own, 1] * y + planes[own, 2])
-                             + planes[own, 3])
+                             + planes[own, OFFSET])
                         if abs(h) <= low_m:
                             near, reference[w], heights[p], last_seen[w] = True, own, h, -1
                             below[w], ahead[w] = z * sight, far
@@ -312,28 +336,28 @@ def mark_ground(depth_m, labels, lines, ways, ray_x, ray_y, planes, down, is_gro
     return ground.reshape(height, width), heights.reshape(height, width)
 
 
-@kernel(f'float64[:, ::1]({_DEPTH}, {_LABELS}, boolean[:, ::1], {_LINES}, int64, {_RAYS}, '
-        f'{_PLANES}, float32[::1], boolean[::1], int64, float64, float64)',
-        subject='ground_pixels')
-def mark_drops(depth_m, labels, ground, lines, ways, ray_x, ray_y, planes, down, is_ground, own,
-               min_drop, error):
+@kernel(f'float64[:, ::1]({_SEEN}, boolean[:, ::1], {_WAYS}, {_PLANES}, float32[::1], '
+        'boolean[::1], int64, UniTuple(float64, 2))', subject='ground_pixels')
+def mark_drops(seen, ground, ways, planes, down, is_ground, own, limits):
     """
     Return the ends of the ground with a lower surface behind, (N, 8), on every second way.
 
     Columns are x y z, the drop, the way, depth and range at which the next ground would have been
     visible, and the depth measured at the end. The drop is NaN where nothing is visible behind the
-    end; otherwise the last three are 0. Metres.
+    end; otherwise the last three are 0. Metres. The limits are the smallest drop and the
+    error of 1/z.
     """
-    height, width = depth_m.shape
-    found, count, planes_count = np.empty((2 * ways, 8)), 0, len(is_ground) - 1
+    (depth_m, labels, rays), (lines, way_count), (min_drop, error) = seen, ways, limits
+    (ray_x, ray_y), (height, width) = rays, depth_m.shape
+    found, count, planes_count = np.empty((2 * way_count, 8)), 0, len(is_ground) - 1
     # For each way: where the last ground is, on which plane and at which depth; then how many
     # pixels are lower, and how many are neither lower nor ground.
-    end, end_k = np.full(ways, -1, np.int32), np.full(ways, -1, np.int32)
-    end_z, drop = np.zeros(ways), np.zeros(ways)
-    lower, mixed = np.zeros(ways, np.int32), np.zeros(ways, np.int32)
+    end, end_k = np.full(way_count, -1, np.int32), np.full(way_count, -1, np.int32)
+    end_z, drop = np.zeros(way_count), np.zeros(way_count)
+    lower, mixed = np.zeros(way_count, np.int32), np.zeros(way_count, np.int32)
     # The last drop found, its plane, the lines on which it is visible; the last line.
-    pending, pending_k = np.full(ways, -1, np.int32), np.zeros(ways, np.int32)
-    pending_end = np.zeros(ways, np.int32)
+    pending, pending_k = np.full(way_count, -1, np.int32), np.zeros(way_count, np.int32)
+    pending_end = np.zeros(way_count, np.int32)
     regions, is_ground_at = labels.reshape(-1), ground.reshape(-1)
     for i in range(len(lines)):
         u0, v0, du, dv, start, step, first, last, low, high = _line(lines, i)
@@ -355,17 +379,17 @@ def mark_drops(depth_m, labels, ground, lines, ways, ray_x, ray_y, planes, down,
                 j = pending_k[w]
                 s = planes[j, 0] * x + planes[j, 1] * y + planes[j, 2]
                 # On the plane in front of the drop, or certainly at its level.
-                off = abs(s * z + planes[j, 3]) + abs(s) * z * z * error
-                if k == j or off <= 0.5 * found[pending[w], 3]:
-                    if _is_reflection(depth_m, lines, pending_end[w], i, w, ray_x, ray_y, planes,
-                                      down, j, z, min_drop, error):
-                        found[pending[w], 4] = -1
+                off = abs(s * z + planes[j, OFFSET]) + abs(s) * z * z * error
+                if k == j or off <= 0.5 * found[pending[w], DROP]:
+                    if _is_reflection(seen, lines, (pending_end[w], i, w), (j, z), planes, down,
+                                      limits):
+                        found[pending[w], WAY] = -1
                     pending[w] = -1
             if e >= 0 and k < 0 and ground[v, u]:
                 end[w], end_z[w], lower[w] = i, z, 0
                 continue
             if e >= 0:
-                x_end, y_end = _ray_at(lines, end[w], w, ray_x, ray_y)
+                x_end, y_end = _ray_at(lines, end[w], w, rays)
                 if end_z[w] == 0.0:
                     end_z[w] = _depth_on(planes, e, x_end, y_end)
                 s = planes[e, 0] * x + planes[e, 1] * y + planes[e, 2]
@@ -374,7 +398,7 @@ def mark_drops(depth_m, labels, ground, lines, ways, ray_x, ray_y, planes, down,
                     z_plane = np.float64(_depth_on(planes, k, x, y))
                     if abs(1 / z_plane - 1 / z) <= error:  # it is more exact than a pixel
                         z, margin = z_plane, PLANE_SHARE * margin
-                off = s * z + planes[e, 3]
+                off = s * z + planes[e, OFFSET]
                 # Behind the upper end of a ramp, everything is lower than the ramp would be.
                 under = z * (x * down[0] + y * down[1] + down[2]) - end_z[w] * (
                     x_end * down[0] + y_end * down[1] + down[2])
@@ -386,7 +410,8 @@ def mark_drops(depth_m, labels, ground, lines, ways, ray_x, ray_y, planes, down,
                     if count < len(found):
                         row = found[count]
                         row[0], row[1], row[2] = x_end * end_z[w], y_end * end_z[w], end_z[w]
-                        row[3], row[4], row[5], row[6], row[7] = drop[w], w, 0.0, 0.0, 0.0
+                        row[DROP], row[WAY], row[NEXT_DEPTH] = drop[w], w, 0.0
+                        row[NEXT_RANGE], row[MEASURED] = 0.0, 0.0
                         pending[w], pending_k[w], pending_end[w] = count, e, end[w]
                         count += 1
                     end_k[w] = -1
@@ -411,74 +436,77 @@ def mark_drops(depth_m, labels, ground, lines, ways, ray_x, ray_y, planes, down,
             if depth_m[v, u] >= MIN_DEPTH_M and depth_m[v, u] < np.inf:
                 nearest[0, v], nearest[1, u] = min(nearest[0, v], u), min(nearest[1, u], v)
                 farthest[0, v], farthest[1, u] = max(farthest[0, v], u), max(farthest[1, u], v)
-    for w in range(0, ways, 2):
+    for w in range(0, way_count, 2):
         e = end_k[w]
         if e < 0 or count == len(found):
             continue
-        x_end, y_end = _ray_at(lines, end[w], w, ray_x, ray_y)
+        x_end, y_end = _ray_at(lines, end[w], w, rays)
         z_end = end_z[w]
         if z_end == 0.0:
             z_end = _depth_on(planes, e, x_end, y_end)
-        axis, i = lines[end[w], 3], len(lines) - 1
-        at, last, rays = ((lines[end[w], 1], width - 1, ray_x) if axis == 0
-                          else (lines[end[w], 0], height - 1, ray_y))
-        strip = BASELINE_M / (z_end * (rays[1] - rays[0]))
+        axis, i = lines[end[w], DV], len(lines) - 1
+        at, last, slopes = ((lines[end[w], V], width - 1, ray_x) if axis == 0
+                          else (lines[end[w], U], height - 1, ray_y))
+        strip = BASELINE_M / (z_end * (slopes[1] - slopes[0]))
         begin, stop = max(at - BESIDE_PX, 0), at + BESIDE_PX + 1
         low = max(nearest[axis].min(), min(nearest[axis, begin:stop].min(), strip)) + BORDER_PX
         high = min(farthest[axis].max(),
                    max(farthest[axis, begin:stop].max(), last - strip)) - BORDER_PX
-        while i > end[w] and not (lines[i, 6] <= w < lines[i, 7]
+        while i > end[w] and not (lines[i, FIRST] <= w < lines[i, END]
                                   and low <= _position(lines, i, w) <= high):
             i -= 1
         if i == end[w]:
             continue
-        x, y = _ray_at(lines, i, w, ray_x, ray_y)
+        x, y = _ray_at(lines, i, w, rays)
         z = np.float64(_depth_on(planes, e, x, y))
         near = z_end * _far(down, x_end, y_end)
         if near <= VOID_NEAR_M and (z < 0 or z * _far(down, x, y) > near + VOID_LENGTH_M):
             row = found[count]
-            row[0], row[1], row[2], row[3], row[4] = x_end * z_end, y_end * z_end, z_end, np.nan, w
-            x, y = _ray_at(lines, end[w] + 1, w, ray_x, ray_y)
+            row[0], row[1], row[2] = x_end * z_end, y_end * z_end, z_end
+            row[DROP], row[WAY] = np.nan, w
+            x, y = _ray_at(lines, end[w] + 1, w, rays)
             z = _depth_on(planes, e, x, y)
-            row[5] = z if z > 0 else np.inf
-            row[6] = row[5] * np.sqrt(x * x + y * y + 1)
+            row[NEXT_DEPTH] = z if z > 0 else np.inf
+            row[NEXT_RANGE] = row[NEXT_DEPTH] * np.sqrt(x * x + y * y + 1)
             a = _position(lines, end[w], w)
-            row[7] = depth_m[lines[end[w], 1] + lines[end[w], 3] * a,
-                             lines[end[w], 0] + lines[end[w], 2] * a]
+            row[MEASURED] = depth_m[lines[end[w], V] + lines[end[w], DV] * a,
+                                    lines[end[w], U] + lines[end[w], DU] * a]
             count += 1
     return found[:count]
 
 
 @kernel(f'UniTuple(float32, 2)({_LINES}, int64, int64, {_RAYS})')
-def _ray_at(lines, i, w, ray_x, ray_y):
+def _ray_at(lines, i, w, rays):
     """Return the slopes of the ray of a way on a line."""
     a = _position(lines, i, w)
-    return ray_x[lines[i, 0] + lines[i, 2] * a], ray_y[lines[i, 1] + lines[i, 3] * a]
+    return rays[0][lines[i, U] + lines[i, DU] * a], rays[1][lines[i, V] + lines[i, DV] * a]
 
 
-@kernel(f'boolean({_DEPTH}, {_LINES}, int64, int64, int64, {_RAYS}, {_PLANES}, float32[::1], '
-        'int64, float64, float64, float64)')
-def _is_reflection(depth_m, lines, first, last, w, ray_x, ray_y, planes, down, e, z_rim, min_drop,
-                   error):
+@kernel(f'boolean({_SEEN}, {_LINES}, UniTuple(int64, 3), Tuple((int64, float64)), {_PLANES}, '
+        'float32[::1], UniTuple(float64, 2))')
+def _is_reflection(seen, lines, stretch, rim, planes, down, limits):
     """
     Return whether lower pixels between two lines of a way are behind the following ground.
 
     In front of the rim of a pit is its bottom, and below the rim its wall. Anything behind the
-    rim, seen through the ground, is a reflection in it.
+    rim, seen through the ground, is a reflection in it. The stretch is two lines and
+    the way; the rim is the plane in front of the drop and the depth behind it.
     """
-    x, y = _ray_at(lines, last, w, ray_x, ray_y)
-    rim = z_rim * _far(down, x, y)
-    seen = beyond = 0
+    (depth_m, _, rays), (first, last, w), (e, z_rim) = seen, stretch, rim
+    min_drop, error = limits
+    x, y = _ray_at(lines, last, w, rays)
+    rim_m = z_rim * _far(down, x, y)
+    lower = beyond = 0
     for i in range(first + 1, last):
         a = _position(lines, i, w)
-        u, v = lines[i, 0] + lines[i, 2] * a, lines[i, 1] + lines[i, 3] * a
-        x, y, z = ray_x[u], ray_y[v], np.float64(depth_m[v, u])
+        u, v = lines[i, U] + lines[i, DU] * a, lines[i, V] + lines[i, DV] * a
+        x, y, z = rays[0][u], rays[1][v], np.float64(depth_m[v, u])
         s = planes[e, 0] * x + planes[e, 1] * y + planes[e, 2]
         if (z >= MIN_DEPTH_M and z < np.inf
-                and -(s * z + planes[e, 3]) > min_drop + abs(s) * z * z * error):
-            seen += 1
-            beyond += z * _far(down, x, y) > rim + min_drop + z * z * error
-    return beyond >= BEYOND_SHARE * seen
+                and -(s * z + planes[e, OFFSET]) > min_drop + abs(s) * z * z * error):
+            lower += 1
+            beyond += z * _far(down, x, y) > rim_m + min_drop + z * z * error
+    return beyond >= BEYOND_SHARE * lower
 
 
 @kernel('int64[::1](float64[:, ::1])', is_short=True, subject='ground_pixels')
@@ -488,11 +516,11 @@ def rows_of(drops):
     for i in range(len(drops)):
         rows[i], nearest = count, EDGE_GAP_M
         for j in range(i - 1, -1, -1):
-            if drops[i, 4] - drops[j, 4] > EDGE_GAP_PX:
+            if drops[i, WAY] - drops[j, WAY] > EDGE_GAP_PX:
                 break
             far = np.sqrt((drops[i, 0] - drops[j, 0]) ** 2 + (drops[i, 1] - drops[j, 1]) ** 2
                           + (drops[i, 2] - drops[j, 2]) ** 2)
-            if drops[j, 4] < drops[i, 4] and far <= nearest:
+            if drops[j, WAY] < drops[i, WAY] and far <= nearest:
                 rows[i], nearest = rows[j], far
         if rows[i] == count:
             count += 1

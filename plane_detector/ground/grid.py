@@ -76,13 +76,12 @@ def occupancy_grid(found: Detection, intrinsics: CameraIntrinsics, to_level: Rig
     """
     count = max(round(grid.size / grid.resolution), 1)
     cells = np.full((count, count), UNKNOWN, np.int8)
-    ray_x, ray_y = pixel_rays(intrinsics)
     moved = np.column_stack([to_level.rotation, to_level.translation_m])
     pixels = found.ground_result
     # Across a smaller gap, no drop of `min_drop` is less steep than `max_slope`.
     gap_m = ground.min_drop / np.tan(np.radians(max(ground.max_slope, 1.0)))
-    _mark(found.depth_m, ray_x, ray_y, moved, pixels.mask, pixels.obstacles, pixels.heights_m,
-          np.array([grid.resolution, grid.max_height, gap_m, ground.min_drop]), cells)
+    _mark(found.depth_m, pixel_rays(intrinsics), moved, pixels.mask, pixels.obstacles,
+          pixels.heights_m, (grid.resolution, grid.max_height, gap_m, ground.min_drop), cells)
     edges = np.floor(to_level.points(pixels.drops_m)[:, :2] / grid.resolution + count / 2)
     for row, column in np.unique(edges[:, ::-1].astype(int), axis=0):
         # With its neighbours, so that there is no gap between two points of an edge.
@@ -101,11 +100,12 @@ def _of_row(moved, y):
             (moved[2, 0], moved[2, 1] * y + moved[2, 2], moved[2, 3]))
 
 
-@kernel(f'void({_FLOATS}, float32[::1], float32[::1], float64[:, ::1], {_MASK}, {_MASK}, '
-        f'{_FLOATS}, float64[::1], int8[:, ::1])', subject='ground_pixels')
-def _mark(depth_m, ray_x, ray_y, moved, is_ground, is_obstacle, heights_m, limits, cells):
+@kernel(f'void({_FLOATS}, UniTuple(float32[::1], 2), float64[:, ::1], {_MASK}, {_MASK}, '
+        f'{_FLOATS}, UniTuple(float64, 4), int8[:, ::1])', subject='ground_pixels')
+def _mark(depth_m, rays, moved, is_ground, is_obstacle, heights_m, limits, cells):
     """Mark the cells of ground and, over it, those of obstacles."""
-    per_m, max_height_m, gap_m, step_m = 1 / limits[0], limits[1], limits[2], limits[3]
+    (resolution_m, max_height_m, gap_m, step_m), (ray_x, ray_y) = limits, rays
+    per_m = 1 / resolution_m
     middle, count = cells.shape[0] / 2, cells.shape[0]
     height, width = depth_m.shape
     # Places in the level frame, and cells, of the pixels of row v and of the row below.

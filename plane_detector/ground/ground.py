@@ -149,15 +149,15 @@ def find_ground(found: PlaneSegmentation, depth_m: np.ndarray, intrinsics: Camer
     # 3. What joins it.
     walkable = surfaces.slopes_deg <= limits.max_slope + SLOPE_MARGIN_DEG
     joins, risers, steps = count_borders(
-        labels, ways.lines, ways.count, *rays, pixels.table, down32, walkable,
-        limits.max_step * unit_m, STEP_RANGE_M * unit_m)
+        labels, ways.for_loops, rays, pixels.table, down32, walkable,
+        (limits.max_step * unit_m, STEP_RANGE_M * unit_m))
     above, above_error = surfaces.above(own)
     flat = np.zeros(len(walkable), bool)
     if walkable[:-1].any():
         # In a bent floor, the piece that gave the direction down is as inclined as any other.
         is_exact = gravity.tolerance_deg <= LEVEL_DEG and gravity.source != 'image'
         for way_down in (down, gravity.gravity_camera)[:1 + is_exact]:
-            flat |= are_flat(depth_m, labels, rays, way_down, surfaces.centroids[own],
+            flat |= are_flat(seen, way_down, surfaces.centroids[own],
                              limits.min_height * unit_m, len(found.planes))
         flat &= walkable
     joined, at_level, lower = ground_planes(surfaces, own, above, above_error, walkable, joins,

@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 
 from plane_detector.ground.along_ways import count_off_level
-from plane_detector.ground.surfaces import LEVEL_DEG, SIGMAS, Surfaces
+from plane_detector.ground.surfaces import LEVEL_DEG, SIGMAS, Seen, Surfaces
 from plane_detector.planes.classification import PlaneClass, are_certain, classify_planes
 from plane_detector.planes.history import PlaneHistory
 from plane_detector.types import PlaneSegmentation
@@ -46,11 +46,10 @@ def ground_planes(surfaces: Surfaces, own: int, above: np.ndarray, error: np.nda
         joined = more
 
 
-def are_flat(depth_m: np.ndarray, labels: np.ndarray, rays: tuple[np.ndarray, np.ndarray],
-             down: np.ndarray, point_m: np.ndarray, most_m: float, count: int) -> np.ndarray:
+def are_flat(seen: Seen, down: np.ndarray, point_m: np.ndarray, most_m: float,
+             count: int) -> np.ndarray:
     """Return which planes (K + 1,) are within some height of the level of a point."""
-    pixels, off = count_off_level(depth_m, labels, *rays, down.astype(np.float32),
-                                  point_m @ down, most_m, count + 1)
+    pixels, off = count_off_level(seen, down.astype(np.float32), point_m @ down, most_m, count + 1)
     return (pixels >= MIN_SAMPLES) & (off <= STRAY_SHARE * pixels)
 
 

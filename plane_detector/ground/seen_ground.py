@@ -11,7 +11,7 @@ import numpy as np
 
 from plane_detector._runtime.compilation import load_once
 from plane_detector.config import GroundConfig
-from plane_detector.ground.along_ways import mark_drops, mark_ground, rows_of
+from plane_detector.ground.along_ways import DROP, WAY, mark_drops, mark_ground, rows_of
 from plane_detector.ground.obstacles import height_errors, mark_obstacles
 from plane_detector.ground.sensor_reach import SensorReach
 from plane_detector.ground.surfaces import SIGMAS
@@ -88,10 +88,10 @@ class SeenGround:
             return (np.zeros(self.labels.shape, bool),
                     np.full(self.labels.shape, np.nan, np.float32))
         load_once('ground_pixels')
-        return mark_ground(self.depth_m, self.labels, self.ways.lines, self.ways.count,
-                           *self.rays, self.table, self.down, self.is_ground, self.own,
-                           self.limits.min_height, np.tan(np.radians(self.limits.max_slope)),
-                           SIGMAS * self.sigma)
+        limits = (self.limits.min_height, np.tan(np.radians(self.limits.max_slope)),
+                  SIGMAS * self.sigma)
+        return mark_ground((self.depth_m, self.labels, self.rays), self.ways.for_loops, self.table,
+                           self.down, self.is_ground, self.own, limits)
 
     @property
     def drops_m(self) -> np.ndarray:
@@ -101,7 +101,7 @@ class SeenGround:
     @property
     def drop_depths_m(self) -> np.ndarray:
         """Depth of the drop at these points, (N,)."""
-        return self._drops[0][:, 3]
+        return self._drops[0][:, DROP]
 
     @property
     def edge_note(self) -> str:
@@ -117,13 +117,13 @@ class SeenGround:
     def _drops(self) -> tuple[np.ndarray, str]:
         if self.doubt:
             return np.zeros((0, 5)), ''
-        ends = mark_drops(self.depth_m, self.labels, self.mask, self.ways.lines, self.ways.count,
-                          *self.rays, self.table, self.down, self.is_ground, self.own,
-                          self.limits.min_drop, SIGMAS * self.sigma)
-        ends = ends[ends[:, 4] >= 0]
+        ends = mark_drops((self.depth_m, self.labels, self.rays), self.mask, self.ways.for_loops,
+                          self.table, self.down, self.is_ground, self.own,
+                          (self.limits.min_drop, SIGMAS * self.sigma))
+        ends = ends[ends[:, WAY] >= 0]
         # It does not matter to a robot where the level behind a drop ends.
-        is_open = np.isnan(ends[:, 3])
-        ends = ends[~(is_open & np.isin(ends[:, 4], ends[~is_open, 4]))]
+        is_open = np.isnan(ends[:, DROP])
+        ends = ends[~(is_open & np.isin(ends[:, WAY], ends[~is_open, WAY]))]
         at_limit = self.reach.is_at_limit(ends, self.sigma, self.max_range_m)
         unknown = _rows(ends[at_limit])
         if self.max_range_m or not len(unknown):
@@ -137,7 +137,7 @@ class SeenGround:
 
 def _rows(drops: np.ndarray) -> np.ndarray:
     """Return the drops (N, 5) that are in sufficiently long rows."""
-    drops = drops[np.argsort(drops[:, 4], kind='stable')]
+    drops = drops[np.argsort(drops[:, WAY], kind='stable')]
     rows = rows_of(drops)
     count = rows.max(initial=-1) + 1
     first, last = np.full(count, len(drops)), np.zeros(count, int)

@@ -12,6 +12,7 @@ import numpy as np
 
 from plane_detector.geometry.projection import pixel_rays
 from plane_detector.geometry.robust import order_statistics
+from plane_detector.ground.along_ways import DROP, MEASURED, NEXT_DEPTH, NEXT_RANGE, WAY
 from plane_detector.ground.surfaces import SIGMAS
 from plane_detector.types import CameraIntrinsics
 
@@ -77,21 +78,21 @@ class SensorReach:
         ``ends`` are those of `along_ways.mark_drops`, ``sigma`` is that of 1/z, ``max_range_m`` is
         the range as stated, or 0.
         """
-        is_open = np.isnan(ends[:, 3])
+        is_open = np.isnan(ends[:, DROP])
         ends_z, ends_range = ends[:, 2], np.linalg.norm(ends[:, :3], axis=1)
         margin = 1 + SIGMAS * sigma * ends_z
         for reached_m, last, following in (
-                (self.depth_m, ends_z, ends[:, 5]),
-                (self.distance_m, ends_range, ends[:, 6])):
+                (self.depth_m, ends_z, ends[:, NEXT_DEPTH]),
+                (self.distance_m, ends_range, ends[:, NEXT_RANGE])):
             # One more pixel: noise and quantisation may cut a pixel that is within the range.
             at_limit = is_open & ((2 * following - last) * margin >= max(reached_m, max_range_m))
             if not at_limit.any() or at_limit.sum() < AT_RANGE_SHARE * is_open.sum():
                 continue
-            ways, last, following = ends[at_limit, 4], last[at_limit], following[at_limit]
+            ways, last, following = ends[at_limit, WAY], last[at_limit], following[at_limit]
             along = _slope(last, ways)
             if _is_constant(last, following, ways, along):
                 if not _is_ragged(last - along * ways, following - along * ways,
-                                  ends_z[at_limit], ends[at_limit, 7]):
+                                  ends_z[at_limit], ends[at_limit, MEASURED]):
                     break
                 return is_open if at_limit.sum() > ALL_SHARE * is_open.sum() else at_limit
         return np.zeros_like(is_open)

@@ -26,6 +26,8 @@ from plane_detector.types import CameraIntrinsics
 _REFERENCE_SHARE = 0.5
 # Positions are in this share of a pixel.
 FRACTION_BITS = 16
+# derived: the columns of `Ways.lines`.
+U, V, DU, DV, START, STEP, FIRST, END, LOW, HIGH = range(10)
 
 
 @dataclass(frozen=True)
@@ -41,6 +43,11 @@ class Ways:
 
     lines: np.ndarray
     count: int
+
+    @property
+    def for_loops(self) -> tuple[np.ndarray, int]:
+        """Lines and number of the ways, as the compiled loops take them."""
+        return self.lines, self.count
 
 
 def ways_over_ground(intrinsics: CameraIntrinsics, down: np.ndarray) -> Ways:

@@ -143,9 +143,9 @@ def normal_equations(frames: PlaneFrames, planes: Planes, index: np.ndarray,
 
     """
     return _normal_equations(
-        planes.normals[index], planes.offsets_m[index], planes.covariances[index],
-        camera.rotation, camera.translation_m, frames.origins_m, frames.axes,
-        frames.coefficients, frames.covariances, centre_m)
+        (planes.normals[index], planes.offsets_m[index], planes.covariances[index]),
+        (camera.rotation, camera.translation_m),
+        (frames.origins_m, frames.axes, frames.coefficients, frames.covariances), centre_m)
 
 
 _V, _M, _T = 'float64[:, ::1]', 'float64[:, :, ::1]', 'float64[::1]'
@@ -217,10 +217,11 @@ def _squared(misfits, covariances):
     return squared
 
 
-@kernel(f'Tuple(({_V}, {_T}))({_V}, {_T}, {_M}, {_V}, {_T}, {_V}, {_M}, {_V}, {_M}, {_T})',
-        is_short=True)
-def _normal_equations(normals, offsets, covariances, rotation, translation, origins, axes,
-                      coefficients, errors, centre):
+@kernel(f'Tuple(({_V}, {_T}))(Tuple(({_V}, {_T}, {_M})), Tuple(({_V}, {_T})), '
+        f'Tuple(({_V}, {_M}, {_V}, {_M})), {_T})', is_short=True)
+def _normal_equations(planes, pose, frames, centre):
+    (normals, offsets, covariances), (rotation, translation) = planes, pose
+    origins, axes, coefficients, errors = frames
     # The planes under this pose, see Planes.moved.
     count, to_map = len(normals), np.zeros((4, 4))
     to_map[:3, :3], to_map[3, 3] = rotation, 1.0

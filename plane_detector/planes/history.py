@@ -18,7 +18,7 @@ from plane_detector.types import CameraIntrinsics, PlaneClass, Planes
 
 # chosen: a third of a second, as for the evidence of the segmentation.
 MOST_IMAGES = 10
-# Reduction of the limits of a class for the class that a plane had, and increase for other classes.
+# Reduction of the limits of a class for the class that a plane had, and increase for others.
 # tuned: switches of class of planes of over 1 % of the image in four real videos, one image to the
 # next: 175 of 2511 alone, 57 with averages, 16 with these, 8 with twice as much.
 YIELDING_DEG, YIELDING_PROBABILITY = 1.0, 0.05
