@@ -1,12 +1,13 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Compiled loops along the ways of an image (`ways`), from the nearest line on: away from the robot.
+Kernels along the ways of an image (`ways`), from the nearest line outward, away from the robot.
 
-A plane is a row of five numbers: normal and offset, both divided by the share of the normal that
-is vertical, and the inverse of that share. With s = normal . ray, a pixel of depth z is
-s z + offset above it along gravity, and the ray meets it at z = -offset / s. An error e of 1/z is
-an error s z z e of the height. ``down`` is a row of three numbers: the direction of gravity.
+A plane is a row of five numbers: normal and offset, both divided by the vertical component of the
+normal, and the inverse of that component. With s = normal . ray, a pixel of depth z is s z +
+offset above the plane along gravity, and its ray meets the plane at z = -offset / s. An error e of
+1/z is an error s z z e of the height. ``down`` is a row of three numbers: the direction of
+gravity.
 """
 
 from __future__ import annotations
@@ -18,24 +19,23 @@ from plane_detector.geometry.disparity import MIN_DEPTH_M
 from plane_detector.ground.ways import FRACTION_BITS
 
 # What follows was tuned by benchmark ground on seeds below 9000, unless derived; nothing changes
-# there from .7 to 1.4 times a value unless stated.
-# Borders of regions are right within this many pixels: so many pixels one after another are a
-# surface, and ways so far apart neighbours.
+# there from .7 to 1.4 times a value unless stated. Borders of regions are accurate within this
+# many pixels: this many consecutive pixels are a surface, and ways this far apart are neighbours.
 BORDER_PX = 6
-# A wall's foot differs from the ground by its plane; this much of it is the plane's own error.
-# Flat from 0 to .014 within .0005 of the obstacles.
+# The foot of a wall differs from the ground by its plane; this part of the difference is the error
+# of that plane. Flat from 0 to .014 within .0005 of the obstacles.
 FOOT_M = 0.01
-# chosen: of the height of a way over a plane, its last dozen pixels count; fewer pixels one after
-# another that stand off it are its noise.
+# chosen: the height of a way over a plane is averaged over its last dozen pixels; fewer
+# consecutive pixels that deviate are noise.
 MEAN_SHARE, MAX_MISSES = 0.1, 3
-# A plane's error as a share of a pixel's: what of the noise is smooth stays. With 1, a drop of
-# 10 cm is not found beyond 3 m at a noise of .004.
+# The error of a plane as a share of that of a pixel: the smooth part of the noise remains. With 1,
+# a drop of 10 cm is not found beyond 3 m at a noise of .004.
 PLANE_SHARE = 0.3
-# Points of one edge are at most this far apart, and so many ways: noise hides it in some.
+# Points of one edge are at most this far apart, and this many ways: noise hides the edge in some.
 EDGE_GAP_M, EDGE_GAP_PX = 0.15, 24
-# The ground should be seen this near, and this much of it, before nothing counts as a drop. The
-# first is the range asked for: at .7 of it a quarter of the ends of all is missed, at twice it
-# a view is false. The second is for depth images with a border without depth.
+# The ground must be visible this near, and this much of it, before missing depth counts as a drop.
+# The first is the required range: at .7 of it a quarter of such ends is missed, at twice it one
+# view is false. The second is for depth images with a border without depth.
 VOID_NEAR_M, VOID_LENGTH_M = 3.0, 0.4
 # Of two imagers, one sees a strip at its side that the other does not, as wide as they are apart.
 # chosen: the widest of usual stereo cameras, 5 to 12 cm; rows beside are so many pixels away.
@@ -43,13 +43,13 @@ BASELINE_M, BESIDE_PX = 0.12, 16
 # derived: a vertical riser leads from the near to the far level; looking down by 40 degrees, the
 # depth changes by this share of its height at most, a table's edge before the floor by more.
 RISER_DEPTH = 0.7
-# chosen: pieces of a bent floor are at most so far apart.
+# chosen: pieces of a bent floor are at most this far apart.
 BEND_GAP_M = 0.5
 # derived: the inverse of the vertical share of a normal, 5 degrees off the vertical. Heights of
-# planes are those under the camera, which say nothing of a riser between steeper ones.
+# planes are measured under the camera, which says nothing about a riser between steeper planes.
 LEVEL = 1.004
-# chosen: behind the rim of a pit no pixel of it can be; this share allows for depth that is
-# smeared at its edges.
+# chosen: no pixel of a pit can be behind its rim; this share allows for depth that is smeared at
+# its edges.
 BEYOND_SHARE = 0.8
 
 _DEPTH, _LABELS = (f"Array({kind}, 2, 'C', readonly=True)" for kind in ('float32', 'int32'))
@@ -65,7 +65,7 @@ def _line(lines, i):
 
 @kernel(f'int64({_LINES}, int64, int64)')
 def _position(lines, i, w):
-    """Return where on a line a way is."""
+    """Return the position of a way on a line."""
     return min(max((lines[i, 4] + w * lines[i, 5]) >> FRACTION_BITS, lines[i, 8]), lines[i, 9] - 1)
 
 
@@ -77,14 +77,14 @@ def _depth_on(planes, k, x, y):
 
 @kernel('float32(float32[::1], float32, float32)')
 def _far(down, x, y):
-    """Return how far from the point under the camera a ray is at depth 1, along the level."""
+    """Return the horizontal distance of a ray at depth 1 from the point under the camera."""
     sight = down[0] * x + down[1] * y + down[2]
     return np.sqrt(max(x * x + y * y + np.float32(1) - sight * sight, np.float32(0)))
 
 
 @kernel(f'int64[::1]({_LABELS}, {_LINES}, int64, boolean[::1])', is_short=True)
 def first_met(labels, lines, count, possible):
-    """Return how many of every fourth way meet each plane before any other possible one."""
+    """Return how many of every fourth way meet each plane before any other candidate."""
     votes, left = np.zeros(len(possible), np.int64), np.arange(0, count, 4)
     n = len(left)
     for i in range(len(lines)):
@@ -130,7 +130,7 @@ def count_borders(labels, lines, ways, ray_x, ray_y, planes, down, walkable, max
                     if w >= width or h < 0:
                         break
                     b = labels[h, w]
-                    # A sliver of another region between them does not part them.
+                    # A sliver of another region between them does not separate them.
                     if b >= 0 and b != a and b < count and walkable[b]:
                         x, y = 0.5 * (ray_x[u] + ray_x[w]), 0.5 * (ray_y[v] + ray_y[h])
                         first, second = (_depth_on(planes, a, x, y), _depth_on(planes, b, x, y))
@@ -157,7 +157,8 @@ def count_borders(labels, lines, ways, ray_x, ray_y, planes, down, walkable, max
             if j >= 0 and k != j:
                 up = planes[j, 3] - planes[k, 3]
                 s = planes[j, 0] * ray_x[u] + planes[j, 1] * ray_y[v] + planes[j, 2]
-                # What has no plane between them, as where a floor is bent, does not part them.
+                # Pixels without a plane between them, as where a floor is bent, do not separate
+                # them.
                 is_level = abs(s * z + planes[j, 3]) <= max_step
                 if far - track[w] <= BEND_GAP_M:
                     steps[j, k] += not is_level
@@ -180,7 +181,7 @@ def count_borders(labels, lines, ways, ray_x, ray_y, planes, down, walkable, max
 @kernel(f'UniTuple(int64[::1], 2)({_DEPTH}, {_LABELS}, {_RAYS}, float32[::1], float64, float64, '
         'int64)', is_short=True)
 def count_off_level(depth_m, labels, ray_x, ray_y, down, level_m, most_m, count):
-    """Return of every eighth pixel those of each plane (K,), and how many are off a level."""
+    """Count every eighth pixel of each plane (K,), and those of them that are off a level."""
     pixels, off = np.zeros(count, np.int64), np.zeros(count, np.int64)
     for v in range(0, labels.shape[0], 8):
         for u in range(0, labels.shape[1], 8):
@@ -200,11 +201,11 @@ def mark_ground(depth_m, labels, lines, ways, ray_x, ray_y, planes, down, is_gro
     """
     Return the pixels (H, W) of the ground, and their height over the ground before them.
 
-    Each is measured from the plane that its way showed last, and from the ground without a plane
-    behind that if it is on a plane that is none. One that is on no other plane may
-    be on ground too small for a plane, as the far end of a ramp: then it is measured from a point
-    of the ground shortly before it, for the tangent ``slope`` of the steepest ground. ``error`` is
-    that of 1/z. The height is NaN where depth is not valid.
+    Each is measured from the last plane of ground on its way and, if it is on a plane that is not
+    ground, from the ground without a plane behind that. A pixel on no other plane may be on ground
+    too small for a plane, such as the far end of a ramp: then it is measured from a point of the
+    ground shortly before it, for the tangent ``slope`` of the steepest ground. ``error`` is that
+    of 1/z. The height is NaN where depth is invalid.
     """
     height, width = depth_m.shape
     ground, heights = np.zeros(height * width, np.bool_), np.empty(height * width, np.float32)
@@ -255,7 +256,7 @@ def mark_ground(depth_m, labels, lines, ways, ray_x, ray_y, planes, down, is_gro
                     h -= lift[w]
                 off = abs(h)
                 heights[p] = h
-                # A plane that is no ground was distinguished from it by all its pixels.
+                # A plane that is not ground was distinguished from it by all its pixels.
                 near = (off <= (foot if on_plane and not belongs else low_m)
                         or off <= abs(s) * z * z * error)
                 if near and belongs:
@@ -265,7 +266,7 @@ def mark_ground(depth_m, labels, lines, ways, ray_x, ray_y, planes, down, is_gro
                     reference[w], last_seen[w], lifted[w] = k, p, 0
                 elif on_plane and not belongs:
                     ground[p] = near
-                    # What is no higher than the robot climbs hides nothing.
+                    # A surface no higher than the robot climbs hides nothing.
                     is_hidden[w] |= off > low_m + abs(s) * z * z * error
                 else:
                     if last_seen[w] >= 0:
@@ -278,12 +279,13 @@ def mark_ground(depth_m, labels, lines, ways, ray_x, ray_y, planes, down, is_gro
                     x, y = x0 + x_step * np.float32(at), y0 + y_step * np.float32(at)
                     sight = down[0] * x + down[1] * y + down[2]
                     far = zero if is_hidden[w] else z * _far(down, x, y)
-                    # The way is at least so long: the error of a wall's depth leads nowhere.
+                    # The way must be at least this long, so that an error in the depth of a wall
+                    # leads nowhere.
                     way = zero if is_hidden[w] else far - ahead[w] - z * z * error
                     rise = abs(z * sight - below[w])
                     steepest = min(max(low_m, slope * way), 2 * low_m)
                     if not near and not is_hidden[w] and reference[w] != own:
-                        # Behind a lower level, as a reflection is, the own floor goes on.
+                        # Behind a lower level, such as a reflection, the own floor continues.
                         h = (z * (planes[own, 0] * x + planes[own, 1] * y + planes[own, 2])
                              + planes[own, 3])
                         if abs(h) <= low_m:
@@ -299,7 +301,7 @@ def mark_ground(depth_m, labels, lines, ways, ray_x, ray_y, planes, down, is_gro
                         sums[w, 0] += z * sight
                         sums[w, 1] += far
                         since[w], misses[w] = since[w] + 1, 0
-                        if way > low_m / 2:  # it leads on: the foot of an obstacle does not
+                        if way > low_m / 2:  # it continues: the foot of an obstacle does not
                             lifted[w] += 1
                             lift[w] += ((h - lift[w]) / np.float32(lifted[w])
                                         if lifted[w] < 1 / MEAN_SHARE else
@@ -316,20 +318,20 @@ def mark_ground(depth_m, labels, lines, ways, ray_x, ray_y, planes, down, is_gro
 def mark_drops(depth_m, labels, ground, lines, ways, ray_x, ray_y, planes, down, is_ground, own,
                min_drop, error):
     """
-    Return the ends of the ground with a lower surface behind, (N, 8), by every second way.
+    Return the ends of the ground with a lower surface behind, (N, 8), on every second way.
 
-    Columns are x y z, the drop, the way, depth and range at which the ground would have been seen
-    next, and the depth measured at the end. The drop is NaN where nothing is seen behind the end,
-    the last three are 0 where something is. Metres.
+    Columns are x y z, the drop, the way, depth and range at which the next ground would have been
+    visible, and the depth measured at the end. The drop is NaN where nothing is visible behind the
+    end; otherwise the last three are 0. Metres.
     """
     height, width = depth_m.shape
     found, count, planes_count = np.empty((2 * ways, 8)), 0, len(is_ground) - 1
-    # Of each way: where the ground was seen last, on which plane and how deep; then how many
-    # pixels are lower, and how many neither that nor ground.
+    # For each way: where the last ground is, on which plane and at which depth; then how many
+    # pixels are lower, and how many are neither lower nor ground.
     end, end_k = np.full(ways, -1, np.int32), np.full(ways, -1, np.int32)
     end_z, drop = np.zeros(ways), np.zeros(ways)
     lower, mixed = np.zeros(ways, np.int32), np.zeros(ways, np.int32)
-    # The drop that was found last, its plane, the lines on which it was seen; the last line.
+    # The last drop found, its plane, the lines on which it is visible; the last line.
     pending, pending_k = np.full(ways, -1, np.int32), np.zeros(ways, np.int32)
     pending_end = np.zeros(ways, np.int32)
     regions, is_ground_at = labels.reshape(-1), ground.reshape(-1)
@@ -340,7 +342,7 @@ def mark_drops(depth_m, labels, ground, lines, ways, ray_x, ray_y, planes, down,
             u, v, e = u0 + du * a, v0 + dv * a, end_k[w]
             p = np.uint64(v * width + u)
             if e < 0 and not is_ground_at[p]:
-                continue  # no ground has begun
+                continue  # no ground has started
             k = regions[p]
             if k >= 0 and k == e and is_ground_at[p]:
                 end[w], end_z[w], lower[w], mixed[w] = i, 0.0, 0, 0
@@ -352,7 +354,7 @@ def mark_drops(depth_m, labels, ground, lines, ways, ray_x, ray_y, planes, down,
             if pending[w] >= 0 and ground[v, u]:
                 j = pending_k[w]
                 s = planes[j, 0] * x + planes[j, 1] * y + planes[j, 2]
-                # On the plane before the drop, or at its level beyond doubt.
+                # On the plane in front of the drop, or certainly at its level.
                 off = abs(s * z + planes[j, 3]) + abs(s) * z * z * error
                 if k == j or off <= 0.5 * found[pending[w], 3]:
                     if _is_reflection(depth_m, lines, pending_end[w], i, w, ray_x, ray_y, planes,
@@ -373,7 +375,7 @@ def mark_drops(depth_m, labels, ground, lines, ways, ray_x, ray_y, planes, down,
                     if abs(1 / z_plane - 1 / z) <= error:  # it is more exact than a pixel
                         z, margin = z_plane, PLANE_SHARE * margin
                 off = s * z + planes[e, 3]
-                # Behind the upper end of a ramp, all is lower than the ramp would be.
+                # Behind the upper end of a ramp, everything is lower than the ramp would be.
                 under = z * (x * down[0] + y * down[1] + down[2]) - end_z[w] * (
                     x_end * down[0] + y_end * down[1] + down[2])
                 if min(-off, under) > min_drop + margin and z > end_z[w]:
@@ -389,7 +391,7 @@ def mark_drops(depth_m, labels, ground, lines, ways, ray_x, ray_y, planes, down,
                         count += 1
                     end_k[w] = -1
                 elif off > min_drop or (on_plane and is_ground[k] and ground[v, u]):
-                    end_k[w] = -1  # an obstacle hides what is behind, or ground goes on
+                    end_k[w] = -1  # an obstacle hides what is behind, or ground continues
                 else:
                     mixed[w] += 1
                     lower[w] = 0
@@ -398,7 +400,7 @@ def mark_drops(depth_m, labels, ground, lines, ways, ray_x, ray_y, planes, down,
             if end_k[w] < 0 and ground[v, u]:
                 if on_plane and is_ground[k]:
                     end[w], end_k[w], end_z[w], lower[w], mixed[w] = i, k, 0.0, 0, 0
-                elif k < 0 and own == planes_count:  # the own floor is no plane
+                elif k < 0 and own == planes_count:  # the own floor is not a plane
                     end[w], end_k[w], end_z[w], lower[w], mixed[w] = i, own, z, 0, 0
     # A border at the side that never has depth ends a way, as the border of the image does; so
     # does the strip that one imager of two sees alone, unless there is depth in rows beside.
@@ -459,10 +461,10 @@ def _ray_at(lines, i, w, ray_x, ray_y):
 def _is_reflection(depth_m, lines, first, last, w, ray_x, ray_y, planes, down, e, z_rim, min_drop,
                    error):
     """
-    Return whether what is lower between two lines of a way is behind the ground that follows.
+    Return whether lower pixels between two lines of a way are behind the following ground.
 
-    Before the rim of a pit there is its bottom, and below it its wall. What would be seen behind
-    the rim, through the ground, is a reflection in it.
+    In front of the rim of a pit is its bottom, and below the rim its wall. Anything behind the
+    rim, seen through the ground, is a reflection in it.
     """
     x, y = _ray_at(lines, last, w, ray_x, ray_y)
     rim = z_rim * _far(down, x, y)

@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Ground, obstacles and drops of one image from above: free, occupied or unknown, in square cells.
+Ground, obstacles and drops of one image, seen from above: free, occupied or unknown square cells.
 
-A cell is occupied if an obstacle or the edge of a drop is in it, free if ground was seen in it and
-nothing of these, and unknown otherwise.
+A cell is occupied if it contains an obstacle or the edge of a drop, free if it contains ground but
+neither of these, and unknown otherwise.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ def level_frame(gravity_camera: np.ndarray, height_m: float) -> RigidTransform:
     """
     Return the transform from the camera to the level frame under it.
 
-    Its origin is on the ground below the camera, z points up, and x where the camera looks; where
-    it looks down or up, along the upper side of the image or the lower one.
+    Its origin is on the ground below the camera, z points up, and x in the viewing direction. For
+    a camera that looks down or up, x points to the upper or the lower side of the image.
 
     Parameters
     ----------
@@ -42,8 +42,8 @@ def level_frame(gravity_camera: np.ndarray, height_m: float) -> RigidTransform:
 
     """
     up = -np.asarray(gravity_camera, float)
-    # Of a camera that looks down, the upper side of the image is ahead; of one that looks up, the
-    # lower one.
+    # For a camera that looks down, the upper side of the image is ahead; for one that looks up,
+    # the lower side.
     ahead = np.array([0.0, np.sign(up[2]), 1.0 - abs(up[2])])
     x = ahead - (ahead @ up) * up
     x /= np.linalg.norm(x)
@@ -64,8 +64,8 @@ def occupancy_grid(found: Detection, intrinsics: CameraIntrinsics, to_level: Rig
     to_level : RigidTransform
         From the camera into a frame whose z points up.
     ground : GroundConfig
-        Its least drop and steepest slope say how far apart two pixels may be for the ground
-        between them to be seen.
+        Its least drop and steepest slope determine how far apart two pixels may be for the ground
+        between them to count as seen.
     grid : GridConfig
 
     Returns
@@ -79,13 +79,13 @@ def occupancy_grid(found: Detection, intrinsics: CameraIntrinsics, to_level: Rig
     ray_x, ray_y = pixel_rays(intrinsics)
     moved = np.column_stack([to_level.rotation, to_level.translation_m])
     pixels = found.ground_result
-    # Across a smaller gap no drop of `min_drop` is less steep than `max_slope`.
+    # Across a smaller gap, no drop of `min_drop` is less steep than `max_slope`.
     gap_m = ground.min_drop / np.tan(np.radians(max(ground.max_slope, 1.0)))
     _mark(found.depth_m, ray_x, ray_y, moved, pixels.mask, pixels.obstacles, pixels.heights_m,
           np.array([grid.resolution, grid.max_height, gap_m, ground.min_drop]), cells)
     edges = np.floor(to_level.points(pixels.drops_m)[:, :2] / grid.resolution + count / 2)
     for row, column in np.unique(edges[:, ::-1].astype(int), axis=0):
-        # With its neighbours, so that no gap is left between two points of an edge.
+        # With its neighbours, so that there is no gap between two points of an edge.
         cells[max(row - 1, 0):max(row + 2, 0), max(column - 1, 0):max(column + 2, 0)] = OCCUPIED
     return cells
 
@@ -108,7 +108,7 @@ def _mark(depth_m, ray_x, ray_y, moved, is_ground, is_obstacle, heights_m, limit
     per_m, max_height_m, gap_m, step_m = 1 / limits[0], limits[1], limits[2], limits[3]
     middle, count = cells.shape[0] / 2, cells.shape[0]
     height, width = depth_m.shape
-    # Places in the level frame and cells of the pixels of row v, and of the row below.
+    # Places in the level frame, and cells, of the pixels of row v and of the row below.
     places, found = np.empty((2, width, 3)), np.empty((2, width, 2), np.int64)
     for v in range(-1, height):
         own, below = v % 2, (v + 1) % 2
@@ -126,8 +126,8 @@ def _mark(depth_m, ray_x, ray_y, moved, is_ground, is_obstacle, heights_m, limit
         for u in range(width if v >= 0 else 0):
             if not is_ground[v, u]:
                 continue
-            # Far away, rows of pixels are wider apart than cells: the ground goes on between two
-            # pixels that are beside each other, unless a drop might be between them.
+            # Far away, rows of pixels are farther apart than cells: the ground continues between
+            # two adjacent pixels unless a drop might be between them.
             for side in range(2):
                 q, w, other = (v + 1, u, below) if side == 0 else (v, u + 1, own)
                 if q == height or w == width or not is_ground[q, w] or (

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Planes and gravity to ground, obstacles and drops; the steps are in the folder's docstring."""
+"""From planes and gravity to ground, obstacles and drops; steps: see the folder's docstring."""
 
 from __future__ import annotations
 
@@ -34,15 +34,15 @@ from plane_detector.types import (
 
 # By contract: a level within this height of the own floor, reached by risers, is a step.
 STEP_RANGE_M = 0.5
-# Drops are reported only if an error of depth does not look like one at this distance, metres.
+# Drops are reported only if a depth error does not look like one at this distance, metres.
 TOLD_AT_M, LARGEST_ERROR_M = 2.0, 0.3
-# Sources of gravity that state how the camera is mounted. chosen: a height is measured with a tape
-# within so much, and so large a share.
+# Sources of gravity that state how the camera is mounted. chosen: tolerance of a height measured
+# with a tape, and the share of it.
 STATED_BY = ('parameter', 'tf', 'measured')
 TAPE_M, TAPE_SHARE = 0.01, 0.02
-# chosen: ways may be half a degree off, and are kept while the camera turns by less.
+# chosen: ways may be half a degree off, and are kept while the camera rotates by less.
 WAY_STEP = 0.01
-# chosen: of every eighth pixel, two lines; a smaller image shows no way over the ground.
+# chosen: of every eighth pixel, two lines; a smaller image has no way over the ground.
 LEAST_PX = 16
 
 
@@ -82,8 +82,8 @@ def find_ground(found: PlaneSegmentation, depth_m: np.ndarray, intrinsics: Camer
     plane_count : int, optional
         How many of them are planes: the rest are pieces of curved surfaces. Default: all.
     is_metric : bool
-        Whether lengths are in metres. If not, the camera is taken to be 1 m above the floor for
-        the classes, and there are neither ground nor drops, nor steps.
+        Whether lengths are in metres. If not, the camera is assumed to be 1 m above the floor for
+        the classes, and there are no ground, drops or steps.
     doubt : str
         Why lengths mean nothing, which then is the note instead of drops.
     constants_m : (H, W) float32, optional
@@ -154,7 +154,7 @@ def find_ground(found: PlaneSegmentation, depth_m: np.ndarray, intrinsics: Camer
     above, above_error = surfaces.above(own)
     flat = np.zeros(len(walkable), bool)
     if walkable[:-1].any():
-        # Of a bent floor, the piece that the direction down was taken from is as inclined as any.
+        # In a bent floor, the piece that gave the direction down is as inclined as any other.
         is_exact = gravity.tolerance_deg <= LEVEL_DEG and gravity.source != 'image'
         for way_down in (down, gravity.gravity_camera)[:1 + is_exact]:
             flat |= are_flat(depth_m, labels, rays, way_down, surfaces.centroids[own],
@@ -162,7 +162,7 @@ def find_ground(found: PlaneSegmentation, depth_m: np.ndarray, intrinsics: Camer
         flat &= walkable
     joined, at_level, lower = ground_planes(surfaces, own, above, above_error, walkable, joins,
                                             flat, steps, limits.max_step * unit_m)
-    if own == len(found.planes):  # no plane of it: its pieces are measured from its level
+    if own == len(found.planes):  # without its plane: its pieces are measured from its level
         pixels.table[joined & flat] = pixels.table[own]
     classes = classes_of(found, surfaces, above, joined, at_level, risers,
                          STEP_RANGE_M if is_metric else 0.0, limits.max_slope + SLOPE_MARGIN_DEG,
@@ -178,7 +178,7 @@ def find_ground(found: PlaneSegmentation, depth_m: np.ndarray, intrinsics: Camer
         doubt = why_unseen(depth_m, labels, rays, surfaces, known_m, walkable)
     is_ground = joined | lower
     if plane_count is not None and plane_count < len(found.planes):
-        # Pieces that are not ground are judged pixel by pixel, as whatever has no plane.
+        # Pieces that are not ground are classified pixel by pixel, like pixels without a plane.
         names = np.arange(len(found.planes))
         names[plane_count:][~is_ground[plane_count:-1]] = -1
         pixels = replace(pixels, labels=rename_labels(labels, names))
@@ -220,10 +220,10 @@ def _ways(intrinsics: CameraIntrinsics, *steps: float) -> Ways:
 
 def _mounting(found: PlaneSegmentation, seen: Seen, ways: Ways, gravity: Gravity,
               config: Config, own: int) -> Mounting | None:
-    """Compare what is stated of the camera with the floor that is seen."""
+    """Compare the stated mounting of the camera with the visible floor."""
     stated_m = config.scale.camera_height or np.nan
     is_stated = gravity.source in STATED_BY
-    if own == len(found.planes) and stated_m > 0:  # not at the stated height: what is met first
+    if own == len(found.planes) and stated_m > 0:  # not at the stated height: the first surface
         _, own = own_floor(found, seen, ways, gravity, config.ground.max_slope, 0.0)
     if own is None or own == len(found.planes) or not (stated_m > 0 or is_stated):
         return None

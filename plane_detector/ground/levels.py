@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Which planes join the own floor, and the class of each."""
+"""The planes that join the own floor, and the class of each plane."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from plane_detector.planes.history import PlaneHistory
 from plane_detector.types import PlaneSegmentation
 
 # Tuned by benchmark ground on seeds below 9000, unless derived or given by contract; nothing
-# changes there from .7 to 1.4 times a value unless stated.
-# Borders are sampled at every fourth pixel; fewer samples that join are chance.
+# changes there from .7 to 1.4 times a value unless stated. Borders are sampled at every fourth
+# pixel; fewer joining samples are chance.
 MIN_JOINS = 3
-# Of every eighth pixel: the least number that gives the heights of a plane, and the share of them
-# that may be off.
+# Of every eighth pixel: the least number that determines the heights of a plane, and the share of
+# them that may be off.
 MIN_SAMPLES, STRAY_SHARE = 10, 0.05
 
 
@@ -28,11 +28,12 @@ def ground_planes(surfaces: Surfaces, own: int, above: np.ndarray, error: np.nda
     """
     Return the planes (K + 1,) that join the own floor, those at its level, and lower ones.
 
-    Those that are ``flat`` are nowhere off its level by as much as an obstacle: pieces of it as a
-    sensor bends it, unless steps lead to them.
+    ``flat`` planes are nowhere off its level by as much as an obstacle: pieces of a floor that a
+    sensor bends, unless steps lead to them.
     """
     is_level = abs(surfaces.slopes_deg - surfaces.slopes_deg[own]) <= LEVEL_DEG
-    # The error of a plane makes no step of what is level, nor hides a step of half as much again.
+    # The error of a plane must not turn a level surface into a step, nor hide a step half as high
+    # again.
     at_level = walkable & is_level & (
         abs(above) <= max_step + np.minimum(SIGMAS * error, 0.5 * max_step))
     at_level[own] = True
@@ -68,11 +69,11 @@ def classes_of(found: PlaneSegmentation, surfaces: Surfaces, above: np.ndarray, 
     near = is_level & (abs(above) <= step_range_m)
     while (more := is_step | (near & linked[is_step].any(axis=0))).sum() > is_step.sum():
         is_step = more
-    # A level plane is OTHER only if that is not certain.
+    # A level plane is OTHER only if that is uncertain.
     classes[is_step & ~joined & (classes != PlaneClass.OTHER)] = PlaneClass.STEP
     classes[joined & ~at_level & ~is_level & is_sure_slope] = PlaneClass.RAMP
-    # What the robot stands on is ground, however uncertain its orientation; so it is floor, unless
-    # the image shows that it is more likely no level surface.
+    # The surface under the robot is ground, however uncertain its orientation; so it is floor,
+    # unless the image shows that it is more likely not level.
     known = np.append(found.planes.class_certainties, np.nan)[own]
     is_sure_slope[own] |= not known < 0.5
     classes[at_level & is_sure_slope] = PlaneClass.FLOOR

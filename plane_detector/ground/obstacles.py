@@ -4,16 +4,17 @@
 Obstacles: what is not ground, without specks and flying pixels.
 
 1. A flying pixel is between a surface and another one behind it, where a sensor averages both: its
-   neighbours on opposite sides are nearer and farther by more than on any surface that is seen at
-   more than 10 degrees, and this steep slope is short.
-2. A speck is a patch of a few pixels, as stereo matching leaves them, that floats: neither ground
-   nor the plane of an obstacle is beside it at its depth.
-3. A torn rim is around a hole in the depth of the ground, below it: sensors are too deep there.
-   What is below the ground and no plane is no obstacle within a few pixels of such a hole.
-4. Depth that repeats exactly, and was removed as no measurement (`cells.constant_depth`), may be
-   the front of an obstacle after all. It is not if it would be below the ground, as a mask of the
-   robot's body, nor if nothing is seen farther away, as at the end of the range, which is not
-   near. Otherwise it is.
+   neighbours on opposite sides are nearer and farther by more than on any surface seen at more
+   than 10 degrees, and this steep slope is short.
+2. A speck is a floating patch of a few pixels, as left by stereo matching: neither ground nor the
+   plane of an obstacle is next to it at its depth.
+3. A torn rim surrounds a hole in the depth of the ground and is below the ground, because sensors
+   measure too far there. Pixels below the ground that are not on a plane are not obstacles within
+   a few pixels of such a hole.
+4. Depth that repeats exactly, and was removed because it is not a measurement
+   (`cells.constant_depth`), may be the front of an obstacle after all. It is not if it would be
+   below the ground, like a mask of the robot's body, nor if nothing is visible farther away, as at
+   the end of the range, which is not near. Otherwise it is.
 """
 
 from __future__ import annotations
@@ -26,13 +27,13 @@ from plane_detector.geometry.disparity import MIN_DEPTH_M
 # After ScanShadowsFilter of ROS's laser_filters: a surface is seen at 10 degrees or more. Depth
 # then changes by at most the inverse tangent of the width of a pixel.
 STEEPEST = 5.67
-# chosen: sensors smear an edge over so many pixels to either side; a longer slope is a surface.
+# chosen: sensors smear an edge over this many pixels to either side; a longer slope is a surface.
 SMEAR_PX = 10
-# chosen: a floating patch of fewer pixels is a speck, as with filters of stereo matching, and so
-# is one of noise on a surface.
+# chosen: a floating patch of fewer pixels is a speck, as in filters for stereo matching; so is a
+# patch of noise on a surface.
 SPECK_PX, NOISE_PX = 64, 6
 # chosen: a constant nearer than this share of the range is not its end; unless it is stated, the
-# range is not nearer than this. A constant of which more than this share is below the ground is no
+# range is not nearer than this. A constant with more than this share below the ground is not a
 # surface.
 WITHIN_RANGE, LEAST_RANGE_M, BELOW_SHARE = 0.9, 2.0, 0.05
 
@@ -44,10 +45,10 @@ def find_fronts(constants_m: np.ndarray, rays: tuple[np.ndarray, np.ndarray],
                 grounds: np.ndarray, reached_m: float, max_range_m: float, min_height: float,
                 error: float) -> tuple[np.ndarray | None, str]:
     """
-    Return which constants (H, W) may be fronts of obstacles, None for none, and what to say.
+    Return which constants (H, W) may be fronts of obstacles, None for none, and a note.
 
     ``grounds`` (N, 5) are the planes of the ground, see `along_ways`; ``reached_m`` is how far the
-    sensor has seen, ``max_range_m`` how far it sees as stated, or 0; ``error`` is that of 1/z.
+    sensor has seen, ``max_range_m`` its stated range, or 0; ``error`` is that of 1/z.
     """
     range_m = max(reached_m, max_range_m or LEAST_RANGE_M)
     places_m = constants_m[::8, ::8]
@@ -79,20 +80,20 @@ def find_fronts(constants_m: np.ndarray, rays: tuple[np.ndarray, np.ndarray],
 
 @kernel('boolean(float32, float32, float32, float32)')
 def _is_beside(z, other, width, error):
-    """Return whether two depths of neighbouring pixels can be of one surface."""
+    """Return whether the depths of two neighbouring pixels can belong to one surface."""
     return abs(z - other) <= max(z, other) * (width + max(z, other) * error)
 
 
 @kernel('boolean(float32, float32, float32, float32, float32)')
 def _is_steep(before, z, after, width, error):
-    """Return whether depth rises or falls from pixel to pixel by more than on a surface."""
+    """Return whether depth rises or falls between two pixels by more than on a surface."""
     return ((before < z < after or before > z > after)
             and not _is_beside(z, before, width, error) and not _is_beside(z, after, width, error))
 
 
 @kernel(f'boolean({_DEPTH}, int64, int64, int64, int64, float32, float32)')
 def _is_flying(depth_m, v, u, dv, du, width, error):
-    """Return whether depth rises at a pixel steeply, over a few pixels, to another surface."""
+    """Return whether depth rises steeply at a pixel, over a few pixels, to another surface."""
     last_v, last_u = depth_m.shape[0] - 1, depth_m.shape[1] - 1
     if not (dv <= v <= last_v - dv and du <= u <= last_u - du):
         return False
@@ -112,7 +113,7 @@ def _is_flying(depth_m, v, u, dv, du, width, error):
             if steps > 2 * SMEAR_PX:
                 return False
         if y == v + side * dv and x == u + side * du or not other >= MIN_DEPTH_M:
-            return False  # its neighbour is of the same surface, or no surface is behind it
+            return False  # its neighbour is on the same surface, or no surface is behind it
     return True
 
 
@@ -143,14 +144,14 @@ def mark_obstacles(depth_m, labels, ground, heights_m, min_height, focal_px, err
         for u in range(width):
             is_valid = (depth_m[v, u] >= nearest) & (depth_m[v, u] < endless)
             surface[v, u] = ground[v, u] | (labels[v, u] >= 0)
-            # The foot of a wall and a low plate are no ground, and no obstacle either.
+            # The foot of a wall and a low plate are neither ground nor an obstacle.
             found[v, u] = (is_valid & surface[v, u] & (not ground[v, u])
                            & (not abs(heights_m[v, u]) <= low_m))
             is_loose[v, u] = is_valid & (not surface[v, u]) & (not (
                 heights_m[v, u] < -low_m and _is_at_hole(depth_m, v, u)))
-    # Runs of pixels of a row that may be a speck: first and last column, the patch they belong to,
-    # by its first run, and of each patch its pixels and whether a surface is beside it.
-    most = height * (width // 4 + 1)  # what exceeds it stays an obstacle
+    # Runs of pixels of a row that may be a speck: first and last column, and the patch of each, by
+    # its first run; for each patch its pixels, and whether a surface is next to it.
+    most = height * (width // 4 + 1)  # the excess stays an obstacle
     begin, end = np.empty(most, np.int32), np.empty(most, np.int32)
     parent, size = np.empty(most, np.int32), np.zeros(most, np.int32)
     is_held = np.zeros(most, np.bool_)
@@ -183,7 +184,7 @@ def mark_obstacles(depth_m, labels, ground, heights_m, min_height, focal_px, err
             run = count - 1
             end[run] = u
             size[run] += 1
-            # Surfaces beside it, and patches above it.
+            # Surfaces next to it, and patches above it.
             for side in range(4):
                 du, dv = (side == 0) - (side == 1), (side == 2) - (side == 3)
                 if not (0 <= u + du < width and 0 <= v + dv < height):
@@ -237,7 +238,7 @@ def height_errors(depth_m, ray_x, ray_y, down, sigma):
 @kernel(f'Tuple((float32[:, ::1], int32[:, ::1]))({_DEPTH}, {_LABELS}, float32[::1], '
         'float32[::1], float32[::1])')
 def without_box(depth_m, labels, ray_x, ray_y, box):
-    """Return depth and labels without the points in a box: least x y z, largest x y z."""
+    """Return depth and labels without the points in a box: minimum x y z, maximum x y z."""
     depths, kept = depth_m.copy(), labels.copy()
     for v in range(depth_m.shape[0]):
         for u in range(depth_m.shape[1]):

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""The own floor: the surface under the robot, and the direction down that it gives."""
+"""The own floor: the surface under the robot, and the direction down that it determines."""
 
 from __future__ import annotations
 
@@ -14,26 +14,26 @@ from plane_detector.planes.classification import refine_gravity
 from plane_detector.types import COARSE_DEG, Gravity, PlaneSegmentation
 
 # Tuned by benchmark ground on seeds below 9000, unless derived or given by contract; nothing
-# changes there from .7 to 1.4 times a value unless stated.
-# The own floor is at the known height of the camera within this share of it: the error of a
-# mounting and of gravity, and what a ramp that begins before the robot rises to.
+# changes there from .7 to 1.4 times a value unless stated. The own floor is at the known height of
+# the camera within this share of it: the error of the mounting and of gravity, and the rise of a
+# ramp in front of the robot.
 HEIGHT_TOLERANCE = 0.1
-# Shares of the columns of an image that meet a level first. Rendered: before drops .85 to 1,
-# tables up to .65, the floor beside them at least .1. Flat from .7 on, and from .01 to .1.
-# Heads of stairs that a rolled camera sees at a side: .55 to .74.
+# Shares of the columns of an image that meet a level first. Rendered: in front of drops .85 to 1,
+# tables up to .65, the floor beside them at least .1. Flat from .7 on, and from .01 to .1. Tops of
+# stairs that a rolled camera sees at one side: .55 to .74.
 MAJORITY, HALF, FEW_COLUMNS = 0.75, 0.5, 0.05
-# chosen: a robot stands farther than this from a straight edge before it. The largest angle of the
-# edge to a line straight across the view, the number of directions in which it is sought, and the
-# share of strays on the wrong side that is tolerated.
+# chosen: a robot stands farther than this from a straight edge in front of it. The largest angle
+# between the edge and a line straight across the view, the number of directions that are tried,
+# and the tolerated share of outliers on the wrong side.
 ROBOT_M, MOST_SKEW_DEG, DIRECTIONS, EDGE_STRAYS = 0.5, 45.0, 19, 0.02
-# Pieces of one floor, as a network bends it, are at the same height of the camera within this
+# Pieces of one floor that a network bends are at the same height below the camera within this
 # share; tables and seats, 1 to 1.8 m below a camera, are higher by at least .25 of it. Flat from
 # .05 to .22.
 ONE_FLOOR = 0.2
 # chosen: the floor nearest to the robot is in one of this many parts of the image, the one where
 # the camera looks down most steeply.
 NEAR_SHARE = 8
-# chosen: the floor is seen if at least this share of the pixels shows it.
+# chosen: the floor is visible if at least this share of the pixels shows it.
 SEEN_SHARE = 0.003
 
 
@@ -43,15 +43,16 @@ def own_floor(found: PlaneSegmentation, seen: Seen, ways: Ways, gravity: Gravity
     """
     Return the direction down (3,), and the index of the own floor.
 
-    The direction is None if it is too coarse and no floor makes it exact; the own floor is None if
-    none is seen and the height of the camera is not known, and the number of planes if it is known
-    but the floor is not seen.
+    The direction is None if it is too coarse and no floor makes it exact. The own floor is None if
+    none is visible and the height of the camera is unknown; it is the number of planes if the
+    height is known but the floor is not visible.
     """
     planes, down = found.planes, gravity.gravity_camera
-    # Lines in the image may be along a ramp; their own scatter does not show it.
+    # Lines in the image may be along a ramp; their scatter does not show this.
     tolerance_deg = max(gravity.tolerance_deg, COARSE_DEG if gravity.source == 'image' else 0.0)
     is_coarse = tolerance_deg > COARSE_DEG
-    # Walls part the floor from a ramp only if they do not stand along it: a help, no reference.
+    # Walls distinguish the floor from a ramp only if they do not stand along it: a help, not a
+    # reference.
     refined = refine_gravity(planes[:plane_count], down, tolerance_deg) if is_coarse else None
     if refined is not None:
         down, tolerance_deg = refined, LEVEL_DEG
@@ -59,7 +60,8 @@ def own_floor(found: PlaneSegmentation, seen: Seen, ways: Ways, gravity: Gravity
     steepest_deg = max(max_slope_deg + SLOPE_MARGIN_DEG, tolerance_deg)
     possible = surfaces.slopes_deg <= steepest_deg
     if known_height_m > 0:
-        # A ramp before the robot is at another height under it, by its slope and distance.
+        # A ramp in front of the robot has another height under the camera, by its slope and
+        # distance.
         far_m = np.linalg.norm(np.cross(surfaces.centroids, down), axis=1)
         rise_m = np.where(surfaces.slopes_deg > LEVEL_DEG,
                           np.tan(np.radians(surfaces.slopes_deg)) * far_m, 0.0)
@@ -81,11 +83,11 @@ def own_floor(found: PlaneSegmentation, seen: Seen, ways: Ways, gravity: Gravity
 def _nearest_floor(votes: np.ndarray, surfaces: Surfaces, seen: Seen, ways: int,
                    is_known: bool, error: float) -> int | None:
     """
-    Return which plane reaches nearest to the robot, by the columns that meet each first.
+    Return the plane that reaches nearest to the robot, by the columns that meet each first.
 
-    At the head of stairs most columns meet the own floor first. A table is met by some, others
-    meet the floor beside it: without a majority, the level that half of them meet is the own floor
-    if it ends at an edge as stairs do, otherwise the lowest of several columns is. ``error`` is
+    At the top of stairs most columns meet the own floor first. Some meet a table, others the floor
+    beside it: without a majority, the level that half of them meet is the own floor if it ends at
+    an edge as stairs do; otherwise it is the lowest level that several columns meet. ``error`` is
     that of 1/z.
     """
     if not votes.any():
@@ -107,8 +109,9 @@ def _ends_before_robot(seen: Seen, surfaces: Surfaces, k: int, error: float) -> 
     """
     Return whether a plane ends at one straight edge, with the robot on its side.
 
-    Where the camera looks through it, it is not. One line across the view parts the head of stairs
-    and the robot from that; beside a table the floor is seen to the left or right of it.
+    The plane does not exist where the camera looks through it. One line across the view separates
+    that area from the top of stairs and the robot; beside a table, the floor is visible to the
+    left or right.
     """
     (depth_m, labels, (ray_x, ray_y)), down = seen, surfaces.down
     x, y = np.meshgrid(ray_x[::8], ray_y[::8])
@@ -133,7 +136,7 @@ def _ends_before_robot(seen: Seen, surfaces: Surfaces, k: int, error: float) -> 
 
 def rough_floor(depth_m: np.ndarray, labels: np.ndarray, rays: tuple[np.ndarray, np.ndarray],
                 down: np.ndarray, min_height: float) -> float:
-    """Return the height of the camera over a floor before the robot that is no plane, else 0."""
+    """Return the camera's height over a floor that is not a plane, else 0."""
     x, y = rays[0][::8], rays[1][::8, None]
     sight = down[0] * x + (down[1] * y + down[2])
     steepness = sight / np.sqrt(x * x + (y * y + 1))
@@ -141,7 +144,7 @@ def rough_floor(depth_m: np.ndarray, labels: np.ndarray, rays: tuple[np.ndarray,
     is_near = steepness >= order_statistics(steepness.ravel(), rank)[1]
     below_m = (depth_m[::8, ::8] * sight)[is_near]
     is_rough = np.isfinite(below_m) & (labels[::8, ::8][is_near] < 0)
-    # Something alone in an empty image is no floor.
+    # A single object in an empty image is not a floor.
     found = np.count_nonzero(is_rough)
     if 2 * found <= np.count_nonzero(np.isfinite(below_m)) or 4 * found < len(below_m):
         return 0.0
@@ -151,7 +154,7 @@ def rough_floor(depth_m: np.ndarray, labels: np.ndarray, rays: tuple[np.ndarray,
 
 def why_unseen(depth_m: np.ndarray, labels: np.ndarray, rays: tuple[np.ndarray, np.ndarray],
                surfaces: Surfaces, height_m: float, walkable: np.ndarray) -> str:
-    """Return why the level so far below the camera (0: not known) is not seen; empty if it is."""
+    """Return why the level this far below the camera (0: unknown) is not visible, or nothing."""
     if not height_m:
         return ''
     depths, down = depth_m[::8, ::8], surfaces.down

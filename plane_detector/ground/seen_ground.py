@@ -18,14 +18,14 @@ from plane_detector.ground.surfaces import SIGMAS
 from plane_detector.ground.ways import Ways
 from plane_detector.types import OBSTACLE_DISTANCES_M, GroundLack, Mounting
 
-# A row of points along an edge is at least this long.
+# Minimum length of a row of points along an edge.
 MIN_EDGE_M = 0.12
 
 
 @dataclass(frozen=True, eq=False)
 class SeenGround:
     """
-    As :class:`~plane_detector.types.GroundResult`, found when its attributes are first read.
+    Like :class:`~plane_detector.types.GroundResult`, computed when its attributes are first read.
 
     They take most of the time of :func:`find_ground`, and only a few users read them.
     """
@@ -37,12 +37,12 @@ class SeenGround:
     focal_px: float
     table: np.ndarray  # of `Surfaces`
     is_ground: np.ndarray  # (K + 1,) bool
-    own: int  # -1 if no floor is seen
+    own: int  # -1 if no floor is visible
     down: np.ndarray  # (3,) float32
     limits: GroundConfig
     sigma: float  # standard deviation of 1/z
     reach: SensorReach
-    max_range_m: float  # as stated; 0: not known
+    max_range_m: float  # as stated; 0: unknown
     doubt: str  # why drops are not searched for
     tilt_deg: float
     camera_height_m: float = np.nan
@@ -68,12 +68,12 @@ class SeenGround:
 
     @property
     def smallest_obstacles_m(self) -> np.ndarray:
-        """Height (3,) of the smallest obstacles that can be seen, by the noise of the image."""
+        """Height (3,) of the smallest detectable obstacles, given the noise of the image."""
         if self.own < 0:
             return np.zeros(0)
         height_m, down_z = self.table[self.own, 3], self.down[2]
         depths_m = np.array(OBSTACLE_DISTANCES_M) * np.sqrt(1 - down_z**2) + height_m * down_z
-        # The error of a height is |down . ray| z^2 that of 1/z, and the ray meets the floor.
+        # The error of a height is |down . ray| z^2 times that of 1/z, and the ray meets the floor.
         return np.maximum(SIGMAS * self.sigma * height_m * depths_m, self.limits.min_height)
 
     @cached_property
@@ -100,7 +100,7 @@ class SeenGround:
 
     @property
     def drop_depths_m(self) -> np.ndarray:
-        """By how much it is down there, (N,)."""
+        """Depth of the drop at these points, (N,)."""
         return self._drops[0][:, 3]
 
     @property
@@ -121,7 +121,7 @@ class SeenGround:
                           *self.rays, self.table, self.down, self.is_ground, self.own,
                           self.limits.min_drop, SIGMAS * self.sigma)
         ends = ends[ends[:, 4] >= 0]
-        # Where the level behind a drop ends matters to no robot.
+        # It does not matter to a robot where the level behind a drop ends.
         is_open = np.isnan(ends[:, 3])
         ends = ends[~(is_open & np.isin(ends[:, 4], ends[~is_open, 4]))]
         at_limit = self.reach.is_at_limit(ends, self.sigma, self.max_range_m)
@@ -136,7 +136,7 @@ class SeenGround:
 
 
 def _rows(drops: np.ndarray) -> np.ndarray:
-    """Return the drops (N, 5) that lie in rows long enough."""
+    """Return the drops (N, 5) that are in sufficiently long rows."""
     drops = drops[np.argsort(drops[:, 4], kind='stable')]
     rows = rows_of(drops)
     count = rows.max(initial=-1) + 1

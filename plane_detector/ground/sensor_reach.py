@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""How far a sensor sees, and whether ground ends there or at an edge."""
+"""The range of a sensor, and whether ground ends there or at an edge."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from plane_detector.ground.surfaces import SIGMAS
 from plane_detector.types import CameraIntrinsics
 
 # Tuned by benchmark ground on seeds below 9000, unless derived or given by contract; nothing
-# changes there from .7 to 1.4 times a value unless stated.
-# A sensor reaches the depth, or the distance, that so small a share of an image exceeds. Ends of
-# the ground may be due to its range if at least this share of them is there: an edge is so only if
-# it is straight across the view.
+# changes there from .7 to 1.4 times a value unless stated. A sensor reaches the depth, or the
+# distance, that only this share of an image exceeds. Ends of the ground may be due to its range if
+# at least this share of them is there; an edge has that share only if it is straight across the
+# view.
 BEYOND_REACH_SHARE, AT_RANGE_SHARE = 0.002, 0.5
-# chosen: the few others of one end are torn off it by noise.
+# chosen: the few others of one end are torn off by noise.
 ALL_SHARE = 0.9
 # chosen: the least number of expected torn ends, and the share of them below which it is an edge.
 # Rendered at 1.2 to 1.6 m with time-of-flight noise: none at edges, 1.2 to 6 times those expected
 # at limits.
 MIN_TORN, TORN_RATIO = 10, 0.25
-# derived: some hundred values whose noise is a step of their quantisation take seven; if it is
-# less, most of them differ by the steps, which tear nothing.
+# derived: some hundred values with noise of one quantisation step take seven values; with less
+# noise, most of them differ by whole steps, which tear nothing.
 MIN_VALUES = 8
 
 
@@ -48,16 +48,17 @@ class SensorReach:
 
     """
 
-    # Most pixels beyond it were never more than a few; 0: nothing was seen.
+    # Never more than a few pixels were beyond it; 0: nothing was seen.
     depth_m: float = 0.0  # along the optical axis
     distance_m: float = 0.0
-    # Of the images, and the depth beyond which theirs is invalid: with others nothing is known.
+    # Of the images, and the depth beyond which theirs is invalid; with other values nothing is
+    # known.
     intrinsics: CameraIntrinsics | None = None
     max_depth_m: float = np.inf
 
     def extended(self, depth_m: np.ndarray, intrinsics: CameraIntrinsics,
                  max_depth_m: float = np.inf) -> SensorReach:
-        """Return what is known after another image (H, W)."""
+        """Return the reach after another image (H, W)."""
         if (intrinsics, max_depth_m) != (self.intrinsics, self.max_depth_m):
             return SensorReach(0.0, 0.0, intrinsics, max_depth_m).extended(
                 depth_m, intrinsics, max_depth_m)
@@ -71,7 +72,7 @@ class SensorReach:
 
     def is_at_limit(self, ends: np.ndarray, sigma: float, max_range_m: float) -> np.ndarray:
         """
-        Return which ends (N,) are where the sensor's range ends: ground would be beyond it.
+        Return which ends (N,) are at the end of the sensor's range: ground would be beyond it.
 
         ``ends`` are those of `along_ways.mark_drops`, ``sigma`` is that of 1/z, ``max_range_m`` is
         the range as stated, or 0.
@@ -82,7 +83,7 @@ class SensorReach:
         for reached_m, last, following in (
                 (self.depth_m, ends_z, ends[:, 5]),
                 (self.distance_m, ends_range, ends[:, 6])):
-            # A pixel more: noise and quantisation may cut one that is within the range.
+            # One more pixel: noise and quantisation may cut a pixel that is within the range.
             at_limit = is_open & ((2 * following - last) * margin >= max(reached_m, max_range_m))
             if not at_limit.any() or at_limit.sum() < AT_RANGE_SHARE * is_open.sum():
                 continue
@@ -107,7 +108,7 @@ def _stretches(intrinsics: CameraIntrinsics) -> np.ndarray:
 
 
 def _reached(values: np.ndarray, before: float, most: int) -> float:
-    """Return the value that at most ``most`` exceed; 0 if it is not above the one before."""
+    """Return the value that at most ``most`` exceed; 0 if it is not above the previous one."""
     beyond = values[(values > before) & (values < np.inf)]
     if len(beyond) <= most:
         return 0.0
@@ -123,9 +124,9 @@ def _slope(values: np.ndarray, ways: np.ndarray) -> float:
 def _is_constant(last: np.ndarray, following: np.ndarray, ways: np.ndarray,
                  slope: float) -> bool:
     """
-    Return whether ground ends at the same distance, that of a range, in all ways.
+    Return whether ground ends at the same distance, as at a range limit, on all ways.
 
-    An edge is nearer on one side, if it is not straight across the view. The distance is known
+    An edge is nearer on one side if it is not straight across the view. The distance is known
     within that of the pixels ``last`` and ``following`` the end.
     """
     x = ways - ways.mean()
@@ -139,17 +140,17 @@ def _is_ragged(last: np.ndarray, following: np.ndarray, depth_m: np.ndarray,
     """
     Return whether ground may end where its depth exceeds a limit.
 
-    A limit cuts what is measured, so that the noise of the pixels decides which of them are seen:
-    of the ways (N,) a share ends a pixel sooner or later than their limit. An edge ends all alike.
-    ``depth_m`` and ``measured_m`` are the depth of the ground at the ends and that measured.
+    A limit cuts off measurements, so the noise of the pixels decides which of them are valid: a
+    share of the ways (N,) ends a pixel before or after the limit. An edge ends all ways alike.
+    ``depth_m`` and ``measured_m`` are the true and the measured depth of the ground at the ends.
     """
     if len(np.unique(measured_m.round(5))) < MIN_VALUES:
         return True
-    # Differences of neighbours: what of the noise is smooth moves the end without tearing it.
+    # Differences of neighbours: smooth noise moves the end without tearing it.
     sigma = np.median(abs(np.diff((measured_m / depth_m - 1) * last))) / (2**0.5 * 0.6745)
     if sigma == 0.0:
         return True
-    # If the limit is midway between two pixels, fewest ends are torn.
+    # If the limit is midway between two pixels, the fewest ends are torn.
     within = erf(np.median(following - last) / (8**0.5 * sigma))
     share = 1 - (0.5 + 0.5 * within)**2
     starts = np.sort(last)

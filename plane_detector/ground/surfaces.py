@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Planes of an image as surfaces that one may stand on, and what is seen of them."""
+"""Planes of an image as surfaces to stand on, and their visible parts."""
 
 from __future__ import annotations
 
@@ -14,10 +14,11 @@ from plane_detector.types import PlaneSegmentation
 # changes there from .7 to 1.4 times a value unless stated.
 # Slopes within the accuracy of an IMU or of a level plane count as level.
 LEVEL_DEG = 3.0
-# chosen: steeper by the error of gravity and of the plane, a slope is still within max_slope.
+# chosen: a slope that is steeper by the error of gravity and of the plane is still within
+# max_slope.
 SLOPE_MARGIN_DEG = 1.0
-# An error counts as a difference beyond this many standard deviations. With 2, less of a far
-# level behind a ramp is ground, with 4 half as much again of the obstacles.
+# A difference counts beyond this many standard deviations. With 2, less of a far level behind a
+# ramp is ground; with 4, half as much again of the obstacles is.
 SIGMAS = 3.0
 Seen = tuple[np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray]]
 """Depth and labels (H, W) of an image, slopes of the rays of its columns and rows."""
@@ -25,7 +26,7 @@ Seen = tuple[np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray]]
 
 @dataclass(frozen=True)
 class Surfaces:
-    """Planes that one may stand on, as surfaces; the last one is level, at the camera's height."""
+    """Planes as surfaces to stand on; the last one is level, at the height of the camera."""
 
     normals: np.ndarray  # (K + 1, 3)
     offsets: np.ndarray  # (K + 1,)
