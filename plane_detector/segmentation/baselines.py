@@ -178,8 +178,8 @@ def _fit(plane: Any, points_m: np.ndarray, paper: PaperConfig) -> tuple[Any, np.
     """
     Return the equation (4,) of the best plane and the indices of its inliers.
 
-    pyransac3d is called for one iteration at a time, so that it can be stopped; the result is that
-    of a single call.
+    pyransac3d is called for one iteration at a time, so that it can be stopped; the result is the
+    same as that of a single call.
     """
     equation, inliers = np.zeros(4), np.zeros(0, np.int64)
     for _ in range(paper.max_iterations):
@@ -202,8 +202,8 @@ def point_clusters(points_m: np.ndarray, eps_m: float, min_samples: int) -> np.n
     """
     Cluster points by density (Ester et al. 1996), with the result of scikit-learn's DBSCAN.
 
-    That keeps the neighbours of all points at once, 5 GB for 20 000 points near each other. Here
-    those of one point are kept, and the search can be stopped.
+    Scikit-learn keeps the neighbours of all points in memory, 5 GB for 20 000 close points. Here
+    only those of one point are kept, and the search can be stopped.
 
     Parameters
     ----------

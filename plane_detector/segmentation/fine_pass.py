@@ -43,7 +43,7 @@ def add_small_planes(frame: Frame, labels: np.ndarray, known: RegionGraph,
     known : RegionGraph
         Of the K planes that the labels are indices of.
     min_turn_deg : float
-        Regions that turn by less are not curved.
+        Regions whose normals turn by less are not curved.
 
     Returns
     -------
@@ -61,7 +61,7 @@ def add_small_planes(frame: Frame, labels: np.ndarray, known: RegionGraph,
                               frame.min_pixels / MIN_CELL_SHARE)
     if not wanted.any():
         return known.planes
-    # Whole rows, with those that planes grow into: of these an array is no copy.
+    # Whole rows, including those that planes grow into: slices of these are not copies.
     filled = np.flatnonzero(wanted.any(axis=1))
     rows = slice(max(filled[0] - BORDER_REACH_CELLS, 0), filled[-1] + 1 + BORDER_REACH_CELLS)
     part = slice(rows.start * size, rows.stop * size)
@@ -97,9 +97,9 @@ def _sides_of_intersections(new: RegionGraph, known: RegionGraph) -> np.ndarray:
         'int8[:, ::1])), UniTuple(float64, 3), int64)')
 def _take_back(labels, cells, size, model, tolerance, reach):
     """
-    Give the new planes the pixels at their borders that the known planes took alone.
+    Give the new planes the pixels at their borders for which the known planes had no rival.
 
-    Beside the line where two planes intersect, each pixel belongs to the plane of its side,
+    Next to the intersection line of two planes, each pixel belongs to the plane of its side,
     whatever its noise; elsewhere to the nearer plane. The planes grow from the given cells, by at
     most ``reach`` pixels.
     """

@@ -1,15 +1,15 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-What one image of a stream leaves for the next.
+Memory from one image of a stream to the next.
 
-Noise is fresh in each image, and yes-or-no decisions that it tips make planes blink. The planes
-of the image before, fitted to the depth now under their cells, are more hypotheses of the search:
-where the camera or a thing has moved they fit badly, and others win. What was one plane stays one,
-and what was two, until the evidence of about ten images is beyond its limit on average, or that of
-one image is clear enough for two planes.
-Where the depth has changed more than elsewhere in the image, as where a thing comes or goes, the
-image alone decides. The noise is measured anew in each image: carried over, it would grow.
+Each image has new noise, and binary decisions that depend on it make planes blink. The planes of
+the previous image, refitted to the current depth of their cells, are additional hypotheses for the
+search: where the camera or an object has moved they fit badly, and others win. One plane stays one
+and two planes stay two until the average evidence of about ten images exceeds its limit, or one
+image is clear enough for two planes. Where the depth has changed more than elsewhere in the image,
+for example where an object appears or disappears, the image alone decides. The noise is measured
+anew in each image: carried over, it would grow.
 """
 
 from __future__ import annotations
@@ -24,18 +24,18 @@ from plane_detector._runtime.compilation import kernel
 from plane_detector.segmentation.cells.grid import CellGrid, fit_planes
 from plane_detector.segmentation.cells.model import MEAN_D, MEAN_WEIGHT, WeightedCells, add_up
 
-# Factor on the support of a plane of the image before.
+# Factor on the support of a plane of the previous image.
 # tuned: a video of a standing sensor, and 12 draws of .05 % noise on 8 sensor frames, of seed 100:
 # pairs of images that lose a plane 14 in 147 at 1.3, 22 at 1.15, 19 at 1.5.
 PREFERENCE = 1.3
-# Factors by which a statistic is clear of its limit: that of two planes, and that of curvature.
+# Factors by which a statistic must clear its limit: for two planes, and for curvature.
 # tuned: as above; 14 at 3, 13 at 4, 18 at 2. Of curvature, on 12 draws of seed 100 of all 16
 # frames and the video with two seeds: 20 in 294 at 2 and 2.8, 25 at 1.4, 36 at 1.
 CLEAR, CLEARLY_CURVED = 3.0, 2.0
 # Images over which evidence is averaged.
 # chosen: a third of a second.
 MOST_IMAGES = 10
-# So far beyond the limit must the average evidence be for another decision; 1 is clear of it.
+# The average evidence must exceed the limit by this to change a decision; 1 is clear of it.
 # tuned: as above; 37 at 0, 14 at 0.1, 11 at 0.2, where wrong evidence stays longer.
 HYSTERESIS = 0.1
 # The scene has changed where the disparity has, by this many times the median of the image.
@@ -45,7 +45,7 @@ CHANGED = 3.0
 
 
 class Decision(IntEnum):
-    """What is decided with the evidence of several images."""
+    """Decisions made with the evidence of several images."""
 
     MISFIT = 0  # one plane fits two regions
     GAIN = 1  # two planes are likelier than one
@@ -70,7 +70,7 @@ class Memory:
     images: np.ndarray = field(default_factory=lambda: np.zeros((len(Decision), 0, 0), int))
 
     def for_grid(self, grid: CellGrid) -> Memory:
-        """Return what is left of it for an image: nothing of one of another size or lens."""
+        """Return the memory usable for an image: none for another size or lens."""
         is_same = self.labels.shape == grid.shape and np.array_equal(self.lens, grid.lens)
         return self if is_same else NO_MEMORY
 
@@ -89,7 +89,7 @@ NO_MEMORY = Memory()
 
 class Recall:
     """
-    What is decided in one image with the memory of the one before.
+    Decisions in one image with the memory of the previous one.
 
     Parameters
     ----------
@@ -128,7 +128,7 @@ class Recall:
             Region of each cell.
         pair : (2,) int
         touches : bool
-            Only regions that touch stay two: what hides a plane behind it cuts it in two.
+            Only regions that touch stay two, because an object in front of a plane cuts it in two.
 
         """
         is_two = statistic > 1
@@ -142,19 +142,19 @@ class Recall:
         planes = self._memory.planes
         was_two = planes[one] != planes[other] if decision is Decision.FLAT else one != other
         last, images = self._memory.evidence[at], self._memory.images[at]
-        if images == 0:  # the decision of the image before, whose evidence is not known
+        if images == 0:  # the decision of the previous image, whose evidence is unknown
             last, images = (1.0 if was_two else -1.0), 1
         images = min(images, MOST_IMAGES - 1)
-        # Asked again in the same image, it counts once.
+        # If asked again in the same image, it counts once.
         average = (images * last + max(evidence, -1.0)) / (images + 1)
-        if evidence > 1:  # what comes is there at once
+        if evidence > 1:  # new objects appear immediately
             average, images = 1.0, 0
         for key in (at, (decision, other, one)):
             self._evidence[key], self._images[key] = average, images + 1
         return average > (-HYSTERESIS if was_two else HYSTERESIS)
 
     def bend_limits(self, labels: np.ndarray, count: int) -> np.ndarray:
-        """Return how many times the limits each region must be bent to be curved, (count,)."""
+        """Return the factor on the limits at which each region is curved, (count,)."""
         if self.is_empty:
             return np.ones(count)
         shared = self._shared_cells(labels, count)

@@ -62,7 +62,7 @@ DEPTH_FLOOR_M = 0.0005
 # Residuals of exact planes in a disparity of unknown unit, as a share of its range.
 # chosen: above the rounding of 16-bit images, 1.5e-5 of the range, by a margin.
 RELATIVE_FLOOR = 1e-4
-# Exact surfaces that turn by less are planes: errors below the noise floor may be smooth.
+# Exact surfaces whose normals turn by less are planes: errors below the noise floor may be smooth.
 # tuned: rooms at noise 0.0001 and curved scenes; 0.16 of the rooms loses its labels at 0.
 MIN_TURN_DEG = 2.0
 # (H, W) int32, the pieces of planes; (K,) int, the plane of each, -1 where it is curved; (K, 3)
@@ -82,8 +82,8 @@ def metric_noise_floor(config: Config, disparity_noise: float = 0.0, *,
     disparity_noise : float
         Noise stated for a network, 1/m; 0 if none.
     is_measured : bool
-        Whether the depth is of a sensor, unless noise is stated for a network: its errors do not
-        become those of a network because the setting states how large they are at least.
+        Whether the depth comes from a sensor, unless noise is stated for a network: a setting for
+        the minimum noise does not turn the errors of a sensor into those of a network.
 
     """
     stated = config.segmentation.disparity_noise

@@ -1,21 +1,22 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Depth that is discarded before planes are sought: constants, and what is seen through a mesh.
+Depth that is discarded before the search for planes: constants, and pixels behind a mesh.
 
-Depth that repeats exactly over a region is no measurement. Drivers and robots write constants:
-over the robot's own body, beyond the range, as a mark for invalid. Such a region has no noise,
-fills as a plane, and sets the noise of the image to 0. It is known by its border, where it stands
-apart from what surrounds it, or by its frequency, far above that of any other value. A wall that a
-simulator sees exactly from the front looks the same: what is constant stays if the rest of the
-image has no noise either. So does what is near: the noise of 1/z is far below a millimetre of
-depth there, and all pixels of a front are rounded to one value. What is removed may still be the
-front of an obstacle: `ground.obstacles` tells it by what is seen behind it.
+Depth that repeats exactly over a region is not a measurement. Drivers and robots write constants:
+over the robot's own body, beyond the range, or as a mark for invalid pixels. Such a region has no
+noise, is a perfect plane, and sets the noise of the image to 0. It is recognised by its border,
+where it is separated from its surroundings, or by its frequency, far above that of any other
+value. A wall seen exactly from the front in a simulator looks the same, so constants stay if the
+rest of the image has no noise either. Near constants stay too: there, the noise of 1/z corresponds
+to far less than a millimetre of depth, and all pixels of a front are rounded to one value. Removed
+depth may still be the front of an obstacle: `ground.obstacles` decides by what is visible behind
+it.
 
-Of the rays to a mesh, a grating or a fence some hit it, others what is behind it. The
-least-squares plane of a cell that holds both lies between them, by the share of either. Only the
-near layer is a surface of the image there: pixels of the far one are not valid. A cell at an edge
-has two layers, too; those of a mesh are interleaved, and cells around it have them as well.
+Some rays to a mesh, a grating or a fence hit it, others hit what is behind it. The least-squares
+plane of a cell that contains both lies between the two layers. Only the near layer is a surface
+there, so pixels of the far layer are made invalid. A cell at an edge has two layers too; those of
+a mesh are interleaved, and the neighbouring cells also have them.
 """
 
 from __future__ import annotations
@@ -41,13 +42,13 @@ from plane_detector.segmentation.cells.noise import Noise, estimate_noise
 # has up to .001 of the pixels.
 # chosen: field cases have .24 and .43; half the smallest plane.
 MIN_SHARE = 0.01
-# Depth around a constant differs by more than this. Steps of quantised depth are smaller: those
-# of a Kinect are .03 at 8 m. chosen: above that.
+# Depth around a constant differs by more than this. Steps of quantised depth are smaller: .03 at 8
+# m for a Kinect. chosen: above that.
 MIN_JUMP = 0.05
 # chosen: a mask may have the depth of the floor at a few places of its border; the front of a box
 # that stands on the floor has it along a fifth.
 MAX_ATTACHED_SHARE = 0.15
-# A constant is so many times as frequent as any other value, or stands apart. The values of a
+# A constant is this many times as frequent as any other value, or is separated. The values of a
 # quantised wall are about equally frequent.
 # chosen: between 2 and the 100 of a limit.
 MIN_FREQUENCY_RATIO = 8
@@ -118,7 +119,7 @@ def without_constants(depth_m: np.ndarray, noise_floor: Noise) -> np.ndarray:
     floor_m = max(noise_floor.depth_floor_m, step_m / 12**0.5)
     grid = build_cell_grid(DisparityImage(*zero_filled(to_disparity(rest_m))))
     noise = estimate_noise(grid, replace(noise_floor, depth_floor_m=floor_m))
-    # The pixels, not the means of cells: a curved surface has no noise either.
+    # The noise of pixels, not of cell means: a curved surface has no noise either.
     if noise.pixel_sigma**2 <= noise.variance_floor(grid.typical_disparity):
         return depth_m
     # derived: with noise of half a step two thirds of the pixels have one value, and the others
@@ -152,7 +153,7 @@ def _frequent_values(depth_m: np.ndarray) -> tuple[np.ndarray, float]:
     top = counts.argmax()
     most, counts[top] = counts[top], 0
     dominant = of_all[top] if counts.max() * MIN_FREQUENCY_RATIO <= most else np.nan
-    # In quantised depth there may be dozens, and most places beside theirs have the next step.
+    # In quantised depth there may be dozens, and most places next to theirs have the next step.
     border, attached = _count_borders(np.ascontiguousarray(places), values)
     is_kept = (attached <= 2 * MAX_ATTACHED_SHARE * border) | (values == dominant)
     return values[is_kept], dominant
@@ -162,9 +163,9 @@ def _frequent_values(depth_m: np.ndarray) -> tuple[np.ndarray, float]:
         is_short=True)
 def _count_borders(places, values):
     """
-    Return how many places with another depth are beside those of each value, and how many near.
+    Count places with another depth next to those of each value, and how many of them are near.
 
-    Only beside places in a piece: a noisy wall at the same depth takes the value here and there.
+    Only next to places in a piece: a noisy wall at the same depth takes the value here and there.
     """
     border, attached = np.zeros(len(values), np.int64), np.zeros(len(values), np.int64)
     for row in range(places.shape[0]):
@@ -240,13 +241,13 @@ def _pieces_apart(depth_m, values, least_px):
             if (0 < y < height - 1 and 0 < x < width - 1 and depth_m[y - 1, x] == value
                     and depth_m[y, x - 1] == value and depth_m[y + 1, x] == value
                     and depth_m[y, x + 1] == value):
-                continue  # what is beside it is beside one of these
+                continue  # its neighbours are neighbours of one of these
             for h in range(max(y - _BORDER_PX, 0), min(y + _BORDER_PX + 1, height)):
                 for w in range(max(x - _BORDER_PX, 0), min(x + _BORDER_PX + 1, width)):
                     z, other = depth_m[h, w], beside[h, w]
                     if z != value and other != piece and abs(z) < np.inf:
                         is_near = abs(z - value) <= near
-                        # A pixel beside two pieces of a value counts for one of them.
+                        # A pixel next to two pieces of a value counts for one of them.
                         if other and value_of[other] == k:
                             border[other] -= 1
                             attached[other] -= is_near

@@ -26,12 +26,12 @@ CELLS_PER_IMAGE = 4800
 # tuned: rooms and lived-in rooms of seeds below 9000: flat from 0.05 to 0.5; of lidar frames 0.05
 # of the pixels lose their label at 0.3, 0.27 at 0.5, and none gains one at 0.05.
 MIN_VALID_SHARE = 0.15
-# derived: a cell with a pixel in five missing still has more than the three that its plane takes,
-# so that its residuals show noise.
+# derived: a cell with one pixel in five missing still has more than the three that determine its
+# plane, so its residuals show noise.
 MIN_CELL_SIDE_PX = 3
 # Focal lengths over the image width, and x and y of the principal point, if the camera is not
 # known.
-# chosen: 64 degrees, which most cameras of robots and phones have within a third.
+# chosen: 64 degrees; most cameras of robots and phones are within a third of it.
 TYPICAL_LENS = np.array([0.8, 0.8, 0.0, 0.0])
 # derived: columns of moments, sums over pixels of 1, x, y, xx, xy, yy, d, xd, yd and dd.
 N, X, Y, XX, XY, YY, D, XD, YD, DD = range(10)
@@ -72,15 +72,15 @@ class CellGrid:
     # (R * C, 2) float64: additional variances of the cell's mean and slope due to missing pixels,
     # as multiples of the variance of a pixel; 0 for full cells
     sparsity: np.ndarray
-    # (R * C, 2) float64: dd/dx and dd/dy by the normals of a network, NaN where it gives none; (0,
-    # 2) without it
+    # (R * C, 2) float64: dd/dx and dd/dy from the normals of a network, NaN where there are none;
+    # (0, 2) without normals
     normal_slope: np.ndarray
     # (4,) float64: focal lengths along x and y, and x and y of the principal point
     lens: np.ndarray
     # (R * C,) float64: half the mean squared difference of neighbouring pixels in and around the
     # cell, see :func:`~plane_detector.segmentation.cells.noise.roughness_of`; (0,) if not measured
     roughness: np.ndarray = field(default_factory=lambda: np.empty(0))
-    # (R * C,) bool: pixels that see through a mesh were left out; (0,) if there are none
+    # (R * C,) bool: pixels behind a mesh were left out; (0,) if there are none
     is_mesh: np.ndarray = field(default_factory=lambda: np.empty(0, bool))
 
     @cached_property
@@ -255,7 +255,7 @@ def _fit_cells(moments, size, width):
     for i in range(count):
         if moments[i, N] == 0:
             continue
-        m, per = moments[i], 1 / moments[i, N]  # no row is held where paths part: faster
+        m, per = moments[i], 1 / moments[i, N]  # no reference to a row across branches: faster
         n, x, y, d = m[N], m[X] * per, m[Y] * per, m[D] * per
         xx, xy, yy = m[XX] * per - x * x, m[XY] * per - x * y, m[YY] * per - y * y
         mean[i, 0], mean[i, 1], mean[i, 2] = x, y, d

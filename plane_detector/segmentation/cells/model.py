@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""An image in cells weighted by its noise; the planes found on them, by cells and by pixels."""
+"""An image as cells weighted by its noise, and the planes found, by cells and by pixels."""
 
 from __future__ import annotations
 
@@ -36,20 +36,20 @@ from plane_detector.segmentation.cells.noise import MAX_STEEPNESS, DepthKind, No
 # A cell whose pixels deviate from its own plane by more than two sigma straddles an edge.
 # tuned: benchmark sensitivity of bb08c3e; flat to 1.4 times; at 0.7 times recall -0.011.
 MAX_PIXEL_VARIANCES = 4.0
-# What lies within so many standard deviations of a plane is an inlier.
+# Points within this many standard deviations of a plane are inliers.
 # chosen: one normal deviate in 370 is larger.
 MAX_DEVIATIONS = 3.0
 # The mean of chi-squared of cells about a joint plane is 1 if they are coplanar.
 # tuned: rooms, lived-in rooms, curved scenes and real frames; not flat: at 0.7 times precision
 # -0.02, at 1.4 times 0.06 more of curved surfaces have labels at noise 0.01.
 MAX_JOINT_VARIANCES = 2.0
-# Stereo matches windows of pixels: within so many along a side the lateral noise that neighbours
-# share is the same, so that the mean of a cell does not average it away; a tilt of the cell does
-# to half of that.
+# Stereo matches windows of pixels: within this many along a side, the shared lateral noise is the
+# same, so the mean of a cell does not average it out; its slope averages half of it out.
 # tuned: 16 frames of today's sensors: SC .957 with 4 px in the tilt, .942 with 1 px in it, .956
 # with half in it; NYU frames .904 at 1 px, .911 to .915 from 2 to 9; ABW 12.9 from 1 to 4.
 LATERAL_WINDOW_PX = 4.0
-# A cell has at most so many times the variance of the image's noise: sensors lose what is darker.
+# A cell has at most this many times the variance of the image's noise: sensors lose darker
+# surfaces.
 # chosen: a twentieth of the amplitude is twenty times the noise (Foix et al. 2011).
 MAX_LOCAL_RATIO = 400.0
 # chosen: avoids division by 0 for cells without depth; any positive number works.
@@ -72,15 +72,15 @@ class NoiseOfCells(NamedTuple):
     disparity, disparity_slope : float
         That of the variance of the disparity, and of a slope by it.
     place : float
-        Variance of the place that a pixel sees.
+        Variance of the lateral position that a pixel samples.
     steepest : float
         Largest slope over 1/z.
     shared_px : float
-        Number of pixels that have the same error of their place.
+        Number of pixels that share the error of their position.
     unbent : float
         Share of the smooth noise that does not bend whole planes.
     per_own : float
-        The inverse of the share of a pixel's variance that its neighbour does not have; 0: the
+        The inverse of the share of a pixel's variance that its neighbour does not share; 0: the
         noise is not local.
 
     """
@@ -111,7 +111,7 @@ class WeightedCells:
 
     @cached_property
     def least_variance(self) -> float:
-        """The variance of the mean of the cell that varies least."""
+        """The smallest variance of the mean of a cell."""
         return 1 / max(float(self.table[:, MEAN_WEIGHT].max(initial=0.0)), MIN_VARIANCE)
 
 
@@ -127,13 +127,13 @@ def weigh_cells(grid: CellGrid, noise: Noise) -> WeightedCells:
     """
     Weigh each cell by the noise that it is tested with.
 
-    The lower bound of the depth noise is one of disparity that falls with 1/z**2. In a cell of
-    n = s * s pixels it tilts a least-squares plane by sqrt(12 / n) / s per pixel. Neighbouring
-    pixels have the same quantisation error, which tilts a cell as a whole. The variance of far
-    cells is at least that of the error which near cells leave in a common plane. The lateral noise
-    is that of a pixel, times the slope; the pixels of a window share it. Where neighbouring pixels
-    differ by more than the noise of the image, as on dark surfaces in time of flight, the pixel
-    noise is what they show, and the smooth noise is larger by the same ratio.
+    The lower bound of the depth noise is one of disparity that falls with 1/z**2. In a cell of n =
+    s * s pixels it tilts a least-squares plane by sqrt(12 / n) / s per pixel. Neighbouring pixels
+    have the same quantisation error, which tilts a cell as a whole. The variance of far cells is
+    at least that of the error which near cells leave in a common plane. The lateral noise is that
+    of a pixel, times the slope; the pixels of a window share it. Where neighbouring pixels differ
+    by more than the noise of the image, as on dark surfaces in time of flight, their differences
+    determine the pixel noise, and the smooth noise is larger by the same ratio.
     """
     size = grid.size_px / grid.width_px
     is_local = noise.own_share > 0 and len(grid.roughness) > 0
@@ -193,7 +193,7 @@ def _weigh(cells, pixels, usable, noise, per_slope):
 
 @dataclass(frozen=True)
 class Frame:
-    """An image, or a part of one, and what is known of it."""
+    """An image, or a part of one, with its noise and the memory of the previous image."""
 
     image: DisparityImage
     grid: CellGrid  # of this image
@@ -201,8 +201,8 @@ class Frame:
     min_pixels: float  # smallest plane
     config: Config
     rng: np.random.Generator
-    # (h, 4) float64: planes of the image before, fitted to this one, and what their support is
-    # multiplied by
+    # (h, 4) float64: planes of the previous image, fitted to this one, and the factor on their
+    # support
     known: np.ndarray = field(default_factory=lambda: np.empty((0, 4)))
 
     @cached_property
@@ -318,19 +318,19 @@ class PixelRegions:
     noise: Noise  # of this disparity
     # area over which the smooth part of the noise is the same, in pixels; 0: not known
     correlated_px: float = 0.0
-    # float or (K,) float64: probability that the regions are oriented as their planes, where not
-    # the depth alone decides
+    # float or (K,) float64: probability that the regions are oriented as their planes, unless
+    # depth alone decides
     certainty: float | np.ndarray = 1.0
     # float or (K,) float64: probability that they are horizontal, vertical or neither as their
-    # planes, where not the depth alone decides; NaN: it does
+    # planes indicate; NaN: depth alone decides
     class_certainty: float | np.ndarray = np.nan
     # float or (K,) float64: angle by which normals of a network have rotated each from its depth
     rotated_rad: float | np.ndarray = 0.0
     # (h, w) int32: for every PATCH_SCALE-th row and column, the patch of one colour of the image,
     # each one surface of the scene; 0 none. Of no size if only the depth decides
     patches: np.ndarray = field(default_factory=NO_PATCHES.copy)
-    # (H, W) int32: as ``labels``, for the pixels of curved surfaces, which are no planes, but are
-    # made of pieces that are flat within the noise. Of no size if there are none
+    # (H, W) int32: as ``labels``, for the pixels of curved surfaces, which are not planes, but
+    # consist of pieces that are flat within the noise. Empty if there are none
     facets: np.ndarray = field(default_factory=NO_FACETS.copy)
 
     def rescaled(self, scale: float, shift: float) -> PixelRegions:

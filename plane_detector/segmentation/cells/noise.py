@@ -3,21 +3,21 @@
 """
 Noise of the disparity, estimated from differences between neighbouring cells.
 
-Noise has four parts. The pixel noise is independent from pixel to pixel; so is the lateral noise,
-which grows with the slope, as a pixel sees a place beside its own (Nguyen et al. 2012); the smooth
-noise shifts and tilts whole cells; the systematic part bends whole planes. Second differences of
-the means of cells in a row or column, and first differences of their slopes, are zero on every
-plane. Edges and curved surfaces make them large, so a low quantile estimates the noise (Donoho and
-Johnstone 1994 take the median for signals with few edges). One estimator serves depth of any noise
-level, exact or not.
+Noise has four parts. The pixel noise is independent from pixel to pixel. So is the lateral noise,
+which grows with the slope, because a pixel samples a neighbouring ray (Nguyen et al. 2012). The
+smooth noise shifts and tilts whole cells. The systematic part bends whole planes. Second
+differences of the means of cells in a row or column, and first differences of their slopes, are
+zero on every plane. Edges and curved surfaces make them large, so a low quantile estimates the
+noise (Donoho and Johnstone 1994 use the median for signals with few edges). One estimator serves
+depth of any noise level, exact or not.
 
-The systematic part differs from the smooth one in how the errors grow with the distance. What a
-blur has made smooth is a field of one length: up to that length the differences between its values
-grow with the square of the distance, beyond it they do not grow. The errors of real sensors have
-no such length: the variance of their differences grows with about the distance, as that of a
-random walk, over the whole image. Filters of drivers and phones leave errors that are smooth,
-wander over the image and have no noise of single pixels. What is seen of the errors about a plane
-is less than what bends it, since the least-squares plane takes the longest waves for itself.
+The systematic part differs from the smooth part in how the errors grow with distance. A blurred
+field has one length scale: up to it the variance of differences grows with the square of the
+distance, beyond it it does not grow. The errors of real sensors have no such scale: the variance
+of their differences is about proportional to the distance over the whole image, as in a random
+walk. Filters of drivers and phones leave errors that are smooth, wander over the image and have no
+pixel noise. The residuals about a plane are smaller than the errors that bend it, because the
+least-squares plane absorbs the longest waves.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from plane_detector._runtime.compilation import kernel
 from plane_detector.geometry.robust import median, order_statistics
 from plane_detector.segmentation.cells.grid import CellGrid, DisparityImage
 
-# derived: the median of so many is good to 4 %.
+# derived: the median of this many is accurate to 4 %.
 MAX_SAMPLES = 1000
 # Distance of the cells of a second difference: smooth noise is correlated in nearer cells.
 # chosen: blur of a standard deviation of 12 px is uncorrelated four cells of 8 px apart.
@@ -45,7 +45,8 @@ QUANTILE = 0.25
 # tuned: eight NYU frames with 12 seeds, ABW, simulated sensors: flat from 3 to no bound, but for
 # the recall of the NYU frames, -0.01 without.
 MAX_STEEPNESS = 5.0
-# chosen: sensors have 0.3 to 0.8 px (Nguyen et al. 2012); more is seen where no plane is steep.
+# chosen: sensors have 0.3 to 0.8 px (Nguyen et al. 2012); larger values are measured where no
+# plane is steep.
 MAX_LATERAL_PX = 1.0
 # derived: the quantiles of a normal variable and of its modulus.
 NORMAL_QUANTILE = NormalDist().inv_cdf(QUANTILE)
@@ -70,7 +71,7 @@ SLOPE_PER_NOISE = 8.0
 # tuned: 14 real frames through FastDepth, SC with the planes of the sensor's depth; flat from 0.7
 # to 1.4 times, -0.028 at 0.
 GRAIN_PER_NOISE = 0.25
-# Noise is local if this share of the cells has so many times the variance of the image's.
+# Noise is local if this share of the cells has this many times the variance of the image's noise.
 # tuned: 20 frames of today's sensors, NYU and ABW frames, simulated sensors: .20 with a dark
 # carpet in time of flight, .23 to .63 in simulated ones, up to .36 on grazing floors, else at most
 # .07. In all images SC of the frames of today's sensors -.002, NYU -.003, recall -.007.
@@ -120,14 +121,14 @@ class Noise:
     # ratio of the errors of a plane as a whole to those about its least-squares plane. The
     # deviations of means and slopes contain it
     bending: float = 1.0
-    # of the place in the image that a pixel sees. It adds to the error of a pixel as many times
-    # the slope of its surface
+    # of the position in the image that a pixel samples. Times the slope of the surface, it adds to
+    # the error of a pixel
     lateral_px: float = 0.0
     # the share of its variance that neighbouring pixels have in common
     lateral_shared: float = 0.0
-    # the share of a pixel's variance that its neighbour does not have; 0: the noise is not local
+    # the share of a pixel's variance that its neighbour does not share; 0: the noise is not local
     own_share: float = 0.0
-    # the disparity is 1/metres, so that lengths and angles mean something
+    # the disparity is 1/metres, so lengths and angles are meaningful
     is_metric: bool = True
     least_sigma: float = 0.0  # noise stated for a sensor, 1/m: ``mean_sigma`` is at least this
 
@@ -160,7 +161,7 @@ class Noise:
                        **others)
 
     def with_bending(self, bending: float) -> Noise:
-        """Return the noise of a sensor that bends planes; the noise so far is without."""
+        """Return the noise of a sensor that bends planes; this noise does not include bending."""
         return self.with_smooth_part(bending * self.mean_sigma, bending * self.slope_sigma,
                                      bending=bending)
 
@@ -209,7 +210,7 @@ def estimate_noise(grid: CellGrid, noise_floor: Noise) -> Noise:
 
     The floors and the ``source_sigma`` of ``noise_floor`` bound the estimate from below.
     """
-    lag = min(LAG_CELLS, (max(grid.shape) - 1) // 2)  # of few cells the first and the last
+    lag = min(LAG_CELLS, (max(grid.shape) - 1) // 2)  # with few cells, the first and the last
     curvature, bend = _differences(grid.mean, grid.slope, grid.usable, grid.shape[1], lag)
     if not len(curvature) or not len(bend):
         return noise_floor.with_smooth_part(0.0, 0.0)
@@ -227,12 +228,12 @@ def estimate_noise(grid: CellGrid, noise_floor: Noise) -> Noise:
 
 def with_lateral_noise(noise: Noise, grid: CellGrid, roughness: np.ndarray) -> Noise:
     """
-    Return the noise with the lateral one, by what steep cells vary more than flat ones.
+    Return the noise with its lateral part, from the excess variation of steep cells.
 
-    As groups compare (Wald 1940). Steep is what the slope changes most, compared with the noise
-    of a cell seen from the front, where the cells around have that slope too. Of the steep cells
-    a low quantile counts, since many straddle an edge. Neighbouring pixels along the contours of
-    the slope differ by what they do not share; curvature hardly shows there.
+    By comparing groups (Wald 1940). The steepest cells are those whose noise depends most on the
+    slope, relative to a frontal cell, and whose neighbours have the same slope. A low quantile of
+    the steep cells is used, because many straddle an edge. Neighbouring pixels along the contours
+    of the slope differ by the noise that they do not share; curvature hardly matters there.
     """
     if noise.source_sigma > 0:
         return noise
@@ -273,7 +274,7 @@ def with_local_noise(noise: Noise, grid: CellGrid,
     """
     Return the noise and the grid with the roughness of its cells, if the noise is local.
 
-    Noise is a property of surfaces, so that of a cell is low among the cells around: the pixels of
+    Noise is a property of surfaces, so a low value among neighbouring cells is used: the pixels of
     an edge differ too.
     """
     usable = grid.usable
@@ -286,7 +287,7 @@ def with_local_noise(noise: Noise, grid: CellGrid,
     least = share * LOCAL_RATIO * (noise.pixel_sigma**2 + noise.variance_floor(grid.mean[:, 2]))
     fewest = MIN_LOCAL_SHARE * np.count_nonzero(usable)
     if share < MIN_OWN_SHARE or np.count_nonzero(usable & (roughness > least)) < fewest:
-        return noise, grid  # those around a cell lower it only
+        return noise, grid  # neighbours can only lower it
     around = least_around(roughness, usable, grid.shape[1])
     if np.count_nonzero(around > least) < fewest:
         return noise, grid
@@ -345,7 +346,7 @@ def _add_differences(here, below, is_here, is_below, sums):
 
 @kernel('float64[::1](float64[::1], boolean[::1], int64)', is_short=True)
 def least_around(values, usable, columns):
-    """Return the third least of the values of each usable cell and those around, or its own."""
+    """Return the third smallest value of each usable cell and its neighbours, or its own."""
     rows, least = len(values) // columns, np.zeros(len(values))
     for i in range(len(values)):
         if not usable[i]:
@@ -435,8 +436,8 @@ def with_fine_depth(noise_floor: Noise, image: DisparityImage, grid: CellGrid) -
     """
     Return the noise floor of depth that is finer than whole millimetres, as its noise shows.
 
-    Without noise the floor stays: what is exact in a simulator is a surface of triangles. So it
-    does with more noise than the floor, which hides nothing then: SC of rooms in simulated time of
+    Without noise the floor stays: exact depth of a simulator shows a surface of triangles. It also
+    stays if the noise exceeds it, because it then hides nothing: SC of rooms in simulated time of
     flight .937 with the finer floor, .973 without; filtered depth, whose noise is in its cells and
     not in its pixels, has .80 of a floor in one plane with it, .99 without.
     """

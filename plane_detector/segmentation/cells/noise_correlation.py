@@ -4,7 +4,7 @@
 Correlation of the errors of neighbouring cells, estimated from the image itself.
 
 Smooth noise shifts whole neighbourhoods of cells. A test that treats cells as independent counts
-the same error many times, and misses how little the error changes from one cell to the next.
+the same error many times, and ignores how little the error changes between neighbouring cells.
 """
 
 from __future__ import annotations
@@ -171,7 +171,7 @@ class Correlation:
     @property
     def of_bows(self) -> tuple[float, float, float, float, float, float]:
         """
-        Return what bounds the bows of regions: a density, and the variogram (Matheron 1963).
+        Return the bounds on bows of regions: a density, and the variogram (Matheron 1963).
 
         At a distance of h image widths that is t[1] + t[2] (1 - exp(-t[3] (t[5] h)**t[4])).
         """
@@ -200,7 +200,7 @@ def in_large_regions(labels, count):
 
 def bending_of(model: WeightedCells, regions: PlaneRegions, noise: Noise) -> float:
     """
-    Return how many times larger the errors of whole planes are than those about them.
+    Return the ratio of the errors of whole planes to the residuals about them.
 
     Parameters
     ----------
@@ -213,8 +213,8 @@ def bending_of(model: WeightedCells, regions: PlaneRegions, noise: Noise) -> flo
     Returns
     -------
     float
-        1 if the errors are smooth over a fixed length, if they are stated for the source, or if
-        no region is large enough; else it gives planes in metres LEAST_ERROR_M at least.
+        1 if the errors are smooth over a fixed length, if they are stated for the source, or if no
+        region is large enough; otherwise at least such that planes in metres have LEAST_ERROR_M.
 
     """
     own = (noise.pixel_sigma / model.grid.size_px) ** 2
@@ -257,7 +257,7 @@ def bending_of(model: WeightedCells, regions: PlaneRegions, noise: Noise) -> flo
 @kernel('float64[::1](int32[:, ::1], float64[:, ::1], float64[:, ::1], boolean[::1])',
         is_short=True)
 def _residuals(labels, planes, table, is_used):
-    """Return the residuals about the planes of their regions, NaN of cells that are not used."""
+    """Return the residuals about the planes of their regions, NaN for unused cells."""
     residuals, label = np.full(labels.size, np.nan), labels.reshape(-1)
     for i in range(labels.size):
         if is_used[i]:

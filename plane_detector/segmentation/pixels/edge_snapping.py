@@ -1,24 +1,24 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Snap the borders of planes to the edges of the image, where the depth leaves them open.
+Snap the borders of planes to the edges of the image, where depth does not determine them.
 
-A network sees the image at its own size, and its depth is blurred by a few of those pixels: the
-image shows better where a surface ends. The interiors of the planes are the markers of a
-watershed (Meyer 1992) on the colours, which labels the pixels between them. The image shows edges
-that are none of the depth, too, so the depth decides first which of these pixels are moved:
+A network processes the image at its own size, and its depth is blurred by a few of those pixels,
+so the image shows more precisely where a surface ends. The interiors of the planes are the markers
+of a watershed (Meyer 1992) on the colours, which labels the pixels between them. The image also
+has edges that are not edges of depth, so the depth decides first which of these pixels are moved:
 
 1. The blur is measured where the depth steps from plane to plane: it is the width within which it
    passes from a fifth to four fifths of the step.
 2. If steps are sharp, a pixel is moved only if its depth cannot separate the two planes, as they
    differ there by less than the noise of a surface, or if it is on the new plane and not on the
    old one.
-3. If steps are blurred, the depth near a border is none of the scene's: a pixel is moved unless
-   its depth contradicts the new plane, and is not between it and another one.
-4. If steps are blurred, the patches of one colour are found too: the pixels on no plane take
-   the plane of most of their patch once the planes are known (``planes/patches.py``).
+3. If steps are blurred, the depth near a border is not that of any surface: a pixel is moved
+   unless its depth contradicts the new plane, and is not between it and another one.
+4. If steps are blurred, patches of uniform colour are found too: unlabelled pixels take the most
+   frequent plane of their patch once the planes are known (``planes/patches.py``).
 
-On measured depth borders got worse, so it is not used there.
+Borders in measured depth got worse, so this stage is not used there.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from plane_detector.segmentation.cells.noise import Noise
 # Half the size is accurate enough at a quarter of the work.
 # chosen: a quarter of the pixels, borders good to two.
 SCALE = 2
-# In a patch of one colour the pixels around each differ by less than this in every channel.
+# In a patch of uniform colour, neighbouring pixels differ by less than this in every channel.
 # tuned: eight NYU frames, an office and two table tops labelled by hand, 21 other frames, all
 # through FastDepth: flat from 7 to 10, the NYU frames from 5 to 14; from a half to a sixth of the
 # size.
@@ -196,9 +196,9 @@ def _moved(labels, proposed, disparity, planes, reach, is_blurred, floors):
     """
     Return the labels with those proposed (h, w) where the depth does not contradict them.
 
-    A plane is contradicted by depth that is not on it, and no plane by depth that is on the old
-    one. Blurred depth between a plane and another one within the reach, and on neither,
-    contradicts none; sharp depth on the old plane contradicts all that differ from it there.
+    Depth that is not on a plane contradicts it; depth on the old plane contradicts no plane.
+    Blurred depth between a plane and another one within reach, and on neither, contradicts none;
+    sharp depth on the old plane contradicts all planes that differ from it there.
     """
     moved, (height, width) = labels.copy(), labels.shape
     sums, pixels = np.zeros(len(planes)), np.ones(len(planes))

@@ -6,20 +6,20 @@ From labels of cells to labels of pixels.
 If all neighbours of a cell have its label, its pixels get this label. In cells along borders each
 pixel chooses among the planes nearby. If two planes intersect along their border, the side of the
 intersection decides, which does not depend on noise; at a step the residual decides, averaged over
-3 x 3 pixels where their mean is within the noise of the pixel.
-On depth accurate enough to show creases, a cell is reassigned if most of its pixels choose another
-plane, and its neighbours choose again, so that borders follow the pixels. A border against pixels
-on no plane lies where the surface leaves the noise of the plane.
+3 x 3 pixels where their mean is within the noise of the pixel. On depth accurate enough to show
+creases, a cell is reassigned if most of its pixels choose another plane, and its neighbours choose
+again, so that borders follow the pixels. A border against unlabelled pixels is where the surface
+leaves the noise of the plane.
 
-Narrow gaps within planes are closed: joints of tiles and seams of doors stand out of exact depth,
-or their pixels are outliers of a sensor. Pixels without a label between two of the same plane
-belong to it if they are as near to it as the settings allow a plane to be uneven.
+Narrow gaps within planes are closed: joints of tiles and seams of doors are visible in exact
+depth, or their pixels are outliers of a sensor. Unlabelled pixels between two pixels of the same
+plane belong to it if they are within the unevenness that the settings allow.
 
-A smear is no plane: where depth has been resized, filtered or registered, an edge is a ramp of a
-few pixels between a surface and another one behind it. If the ramp is linear in 1/z it is an exact
-plane, but one that is seen nearly from the side over all its area, and that begins at the depth of
-one surface and ends at that of the other. A wall seen so is wider, or what is behind its end is
-farther.
+A smear is not a plane: where depth has been resized, filtered or registered, an edge is a ramp of
+a few pixels between a surface and another one behind it. If the ramp is linear in 1/z, it is an
+exact plane, but one that is seen nearly edge-on over its whole area, and that starts at the depth
+of one surface and ends at that of the other. A wall seen edge-on is wider, or the surface behind
+its end is farther away.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ def label_pixels(frame: Frame, graph: RegionGraph) -> np.ndarray:
     noise, disparity = frame.noise, frame.image.values
     found = np.empty(disparity.shape, np.int32)
     sees = sees_creases(frame.grid, noise, MAX_DEVIATIONS)
-    # In other depth neighbouring pixels share their error.
+    # In other depth, neighbouring pixels share their error.
     if frame.kind is DepthKind.MEASURED:
         disparity = _smooth(disparity, frame.image.valid, MAX_DEVIATIONS * noise.pixel_sigma)
     # A border moves by one cell per sweep.

@@ -8,14 +8,14 @@ that fits it best, and the planes are refitted, as in PEaRL (Isack and Boykov 20
 conditional modes (Besag 1986) lower an energy: chi-squared per cell, or the cost of no plane, and
 a Potts term.
 
-Under smooth noise this is done once more. Where two planes are closer to each other than the
-noise, each cell joined the plane that its error moves it to: regions are ragged. But smooth noise
+Under smooth noise this is repeated. Where two planes are closer to each other than the noise, each
+cell has joined the plane toward which its error moves it, so regions are ragged. But smooth noise
 does not jump. Where there is no step in the depth, the residuals of neighbours differ by the gap
-between their planes if a border separates them; where there is one, they differ unless a border is
-there. This is the energy of a Gaussian Markov random field (Rue and Held 2005): chi-squared of the
-cells, divided by the number of cells that share their error, and of the differences between
+between their planes if a border separates them; where there is a step, they differ unless there is
+a border. This is the energy of a Gaussian Markov random field (Rue and Held 2005): chi-squared of
+the cells, divided by the number of cells that share their error, and of the differences between
 neighbours, with a Potts term. It is lowered for single cells and for connected pieces of regions,
-since a piece on the wrong plane goes as a whole or not at all.
+because a piece on the wrong plane changes as a whole or not at all.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from plane_detector.segmentation.search.ransac import MAX_TRIALS, label_clusters
 # tuned: rooms, lived-in rooms and curved scenes below seed 9000; not flat: at noise 0.01 0.06 more
 # of curved surfaces have labels at 0.7 times, recall of lived-in rooms -0.024 at 1.4 times.
 OUTLIER_COST = 1.6
-# What one neighbour's agreement is worth, in units of chi-squared.
+# Value of the agreement of one neighbour, in units of chi-squared.
 # tuned: as above; flat from 0.7 times; at 1.4 times recall of lived-in rooms -0.025 at noise
 # 0.004, and 0.04 more of curved surfaces have labels at 0.01.
 POTTS_WEIGHT = 1.5

@@ -3,13 +3,13 @@
 """
 Removal of curved regions.
 
-Within the tolerance of any method a curtain or a cushion is a row of narrow planes. The cells of a
-single region show the curvature: a quadric fits them far better than a plane (F-test), and the
-normal turns from one end to the other. Noise hides that, and a column becomes three or four
+Within the tolerance of any method, a curtain or a cushion is a row of narrow planes. The cells of
+a single region show the curvature: a quadric fits them far better than a plane (F-test), and the
+normal turns from one end to the other. Noise hides this, and a column becomes three or four
 planes. A quadric has as many parameters as the two planes of a pair: it fits a bend as well as the
-planes do in either region, and a fold between planes worse. Noise hides that too: what fits within
-the noise is a weak bend. One of these may be a fold by chance, not a chain of three regions, nor
-the neighbour of a curved one.
+planes do in either region, but a fold between planes worse. Noise hides this too: a pair that fits
+within the noise is a weak bend. A single weak bend may be a fold by chance, but not a chain of
+three regions, nor the neighbour of a curved region.
 """
 
 from __future__ import annotations
@@ -63,8 +63,9 @@ MAX_FOLD_DEG = 70.0
 # tuned: benchmark curved of 28e5049; flat from 1.4 to 2; at 1.3 0.04 more of the curved surfaces
 # have labels at noise 0.01; from 1.5 on walls of real frames are lost.
 MAX_RATIO = 1.4
-# What counts of the noise. Small regions fit it: lower bound of the error of their planes. A pair
-# is bent if one plane fits worse than the quadric by the noise; weakly if by more than this share.
+# Share of the noise that counts. Small regions fit the noise, so this is the lower bound of the
+# error of their planes. A pair is bent if one plane fits worse than the quadric by the noise, and
+# weakly bent if it does so by more than this share.
 # tuned: curved scenes, rooms, lived-in rooms and sensor frames: flat from 0.1 to 0.35.
 MIN_NOISE_SHARE = 0.2
 # derived: as many regions in a row turn twice.
@@ -119,7 +120,7 @@ def find_curved(graph: RegionGraph, noise_density: float, min_turn_deg: float,
         Variance of a cell times the number of cells that share their noise; at least that of each
         cell counts.
     min_turn_deg : float
-        Surfaces that turn by less are planes with a dent.
+        Surfaces whose normals turn by less are planes with a dent.
     bending : float
         Of the noise. The systematic errors of neighbouring regions are the same: the fits of a
         pair are judged by the errors about planes alone, but for the gap between them, since

@@ -3,7 +3,7 @@
 """
 Merging of regions that are one plane.
 
-Two regions are merged if one surface fits both, and where the test asks for it, if their planes
+Two regions are merged if one surface fits both and, where the test requires it, if their planes
 meet at the border without a step and at a small angle. Four tests differ in surface and limits:
 
 - coplanar: a joint plane fits both within the noise;
@@ -15,10 +15,10 @@ meet at the border without a step and at a small angle. Four tests differ in sur
 
 Regions whose normals differ are two planes, however well one plane fits their depth.
 
-Pieces that do not touch are one plane if a joint plane fits as well as their own and a nearer
-object separates them: a floor continues behind a box, two tables of one height do not continue
-over the floor between them. The depth between them decides: something nearer than their plane
-hides its continuation, something farther shows that it ends.
+Pieces that do not touch are one plane if a joint plane fits as well as their own planes and a
+nearer object separates them: a floor continues behind a box, but two tables of the same height do
+not continue over the floor between them. The depth between them decides: something nearer than
+their plane hides its continuation, something farther shows that it ends.
 """
 
 from __future__ import annotations
@@ -111,11 +111,12 @@ MAX_BULGE_VARIANCES = 3.5**2
 MAX_BOW_RATIO = 3.0
 # chosen: about as many lines, and samples per line, as cells along the longer side of a piece.
 SIGHT_LINES = 24
-# Of the cells between two pieces, so many may be farther than their plane. One counts from
-# MAX_DEVIATIONS on, wholly at twice that, so that no single cell decides by a hair.
+# This many cells between two pieces may be farther than their plane. A cell counts from
+# MAX_DEVIATIONS on, and fully at twice that, so that no single cell decides by a hair's breadth.
 # chosen: three times the share of normal deviates below -3.
 MAX_FARTHER_SHARE = 0.004
-# Pieces that do not touch are one plane up to this angle, or to so many deviations of it by noise.
+# Pieces that do not touch are one plane up to this angle, or up to this many of its standard
+# deviations.
 # tuned: eight NYU frames with 12 seeds, SC .909 without, .918 with it; 3 degrees and a deviation
 # more .918, but the wall on both sides of a thick column is then two in one draw of three.
 MAX_HIDDEN_FOLD_DEG, FOLD_DEVIATIONS = 3.0, 2.0
@@ -207,7 +208,7 @@ def _gain_of_two(planes, sums, pair):
     """
     Return how much worse a joint plane fits two regions than their own, in variances.
 
-    Of large regions that of MAX_CELLS cells: slow errors do not average out over more.
+    For large regions that of MAX_CELLS cells: slow errors do not average out over more.
     """
     i, j = pair
     a, b, c = fit_plane(sums[i, :10] + sums[j, :10])

@@ -5,7 +5,7 @@ One plane or two: model selection for regions that lie within the noise of each 
 
 Smooth noise shifts whole regions, but it neither jumps nor bends sharply: from one cell to the
 next it changes by far less than its standard deviation. Generalised least squares (Aitken 1936)
-uses that: a likelihood-ratio test under correlated noise compares two planes with one plane on
+exploits this: a likelihood-ratio test under correlated noise compares two planes with one plane on
 the cells around the border.
 
 It decides on pairs of regions, and on pieces that depth steps cut off a region. A picture frame on
@@ -38,15 +38,15 @@ from plane_detector.segmentation.cells.noise_correlation import Correlation
 from plane_detector.segmentation.memory import Decision, Recall
 from plane_detector.segmentation.regions.region_graph import PLANE_TERMS
 
-# Smooth noise hardly changes over so many cells: those up to this far around the smaller region
-# are used, and depth steps are seen along as many.
+# Smooth noise hardly changes over this many cells: cells up to this far around the smaller region
+# are used, and depth steps are compared over this length.
 # tuned: on rooms and lived-in rooms below seed 9000; flat from 2 to 4.
 REACH_CELLS = 3
 # Most cells used, nearest to the border first; the time grows with the cube.
 # tuned: on rooms and lived-in rooms below seed 9000, flat from 64 to 256; with 128 hardly any
 # picture frame on a wall is seen.
 MAX_CELLS = 192
-# Twice the limit, reached by so many cells next to the border, ends a test.
+# A test ends when this many cells next to the border reach twice the limit.
 # chosen: a quarter, which costs a tenth; more cells hardly ever halve a gain.
 NEAREST_CELLS = MAX_CELLS // 4
 # Twice the gain in log-likelihood that blurred noise hardly ever reaches, times its power, 2:

@@ -6,10 +6,10 @@ Search for the planes and the noise together, since each is needed to find the o
 1. the noise is estimated from differences between neighbouring cells, its lateral part from how
    the deviation of the pixels grows with the slope;
 2. the largest planes are found, and the noise is estimated from their residuals, which neither
-   miss noise that is smooth over several cells nor count clutter as noise; again with this noise,
-   as long as the planes explain more. One image may have two noises that agree with their own
-   planes, and chance would choose;
-3. the systematic part of the noise shows in how the residuals grow with the distance;
+   miss noise that is smooth over several cells nor count clutter as noise. This is repeated with
+   the new noise as long as the planes explain more, because an image may have two noise levels
+   that agree with their own planes, and chance would decide between them;
+3. the growth of the residuals with distance shows the systematic part of the noise;
 4. the remaining planes are found with this noise, or all of them again if it has changed.
 """
 

@@ -182,7 +182,7 @@ def _take_best(hypotheses, search, labels, planes, limits):
 
 @kernel('int64(float32[::1], float64[:, ::1])')
 def _preferred(gain, planes):
-    """Return the hypothesis of most support, times the preference for it."""
+    """Return the hypothesis with the most support, times the preference for it."""
     best = 0
     for h in range(1, len(gain)):
         if gain[h] * planes[h, 3] > gain[best] * planes[best, 3]:
@@ -258,8 +258,8 @@ def draw_planes(free, stride, cells, wanted, share, known):
 
     The last column is what their support is multiplied by, 1. The known planes come first.
 
-    The windows are at places of an even sequence over the image. They stay where they are when
-    cells elsewhere become free or are taken, so that slight noise draws nearly the same planes.
+    The windows are at the places of an even sequence over the image. They do not move when cells
+    elsewhere become free or are taken, so slight noise draws nearly the same planes.
     """
     table, moments = cells
     planes = np.ones((len(known) + wanted * len(WINDOWS_CELLS), 4))
@@ -301,7 +301,7 @@ def draw_planes(free, stride, cells, wanted, share, known):
 
 @kernel('Tuple((float64[:, ::1], float32[::1]))(float64[:, ::1], float32[::1], float64)')
 def supported(planes, gain, least):
-    """Keep hypotheses with enough support: that of the others will only fall."""
+    """Keep hypotheses with enough support: the support of the others can only fall."""
     n = 0
     for h in range(len(gain)):
         for column in range(4):
