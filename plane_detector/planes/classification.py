@@ -16,16 +16,16 @@ from plane_detector.types import Plane, PlaneClass, Planes
 TOLERANCE_DEG = 8.0
 _LEVEL_KINDS = (PlaneClass.FLOOR, PlaneClass.CEILING, PlaneClass.OTHER_HORIZONTAL,
                 PlaneClass.STEP)
-# A class is given if it is right with this probability, as the vertical is.
+# A class is assigned if it is right with this probability, as for the vertical.
 MIN_PROBABILITY = 0.9
-# The same for planes that the lines of the image oriented. Their probability counts that a piece
-# may be of several surfaces, too; whoever asks for 0.9 loses a third of the true walls and floors
-# of a small network. chosen: a class is four times as likely right as wrong.
+# The same for planes oriented by lines of the image. Their probability also includes the case that
+# a piece spans several surfaces; 0.9 would lose a third of the true walls and floors of a small
+# network. chosen: a class is four times as likely right as wrong.
 MIN_ORIENTED_PROBABILITY = 0.8
 # Shares of vertical, horizontal and other planes among those whose normal is known to 2 degrees.
 # measured: 103 planes in the sensors' depth of 16 frames of Kinect, NYU and kitchen.
 UPRIGHT_SHARE, LEVEL_SHARE, OTHER_SHARE = 0.42, 0.26, 0.32
-# chosen: far below what any sensor measures, and no division by 0.
+# chosen: far below what any sensor measures, to avoid division by 0.
 LEAST_SIGMA_RAD = 1e-5
 # Horizontal planes closer than this share of the ceiling's distance are one ceiling (noise).
 SAME_LEVEL_SHARE = 0.08
@@ -47,13 +47,13 @@ def classify_planes(planes: Planes, down: np.ndarray,
     down : (3,) floating
         Unit direction of gravity in the optical frame.
     past : PlaneHistory, optional
-        Of these planes, with their inclinations. Default: each is judged by its normal.
+        Of these planes, with their inclinations. Default: each is classified by its normal.
 
     Returns
     -------
     (K,) uint8
         Values of PlaneClass. The ceiling is the highest horizontal plane that faces down, with all
-        at that level. Which of those that face up is the floor, the pixels decide: see
+        others at that level. Pixels decide which of the planes that face up is the floor: see
         :func:`~plane_detector.ground.ground.find_ground`.
 
     Examples
@@ -87,9 +87,9 @@ def are_certain(planes: Planes, down: np.ndarray,
     """
     Return which planes (K,), bool, are horizontal, vertical or neither with enough probability.
 
-    Planes that the lines of the image oriented have the probability that came with this. Others
-    have an error by their covariance, and the true plane is exactly vertical, exactly horizontal
-    or of any direction.
+    Planes oriented by lines of the image have the probability from that step. Others have an error
+    according to their covariance, and the true plane is exactly vertical, exactly horizontal or of
+    any direction.
 
     Examples
     --------
@@ -178,7 +178,7 @@ def _density(deviations):
 
 @kernel('float64(float64, float64, float64)')
 def _within(off_rad, sigma_rad, most_rad):
-    """Return the probability that an angle is at most so large on either side."""
+    """Return the probability that an angle is at most this large on either side."""
     scale = np.sqrt(2) * sigma_rad
     return 0.5 * (math.erf((most_rad - off_rad) / scale) + math.erf((most_rad + off_rad) / scale))
 

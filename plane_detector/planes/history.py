@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-What a stream has seen of its planes: noise alone changes neither their class nor confidence.
+History of the planes of a stream, so that noise alone changes neither class nor confidence.
 
 The inclination of a plane to gravity and its confidence are averages over its last images, the
-inclination only while it is the same within its error. A plane that is new, or has turned, is
-judged by its image alone.
+inclination only while it is constant within its error. A plane that is new, or has turned, is
+judged by its current image alone.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ import numpy as np
 
 from plane_detector.types import CameraIntrinsics, PlaneClass, Planes
 
-# chosen: a third of a second, as the evidence of the segmentation.
+# chosen: a third of a second, as for the evidence of the segmentation.
 MOST_IMAGES = 10
-# What the limits of a class yield for the class that a plane had, and exceed for another.
+# Reduction of the limits of a class for the class that a plane had, and increase for another.
 # tuned: switches of class of planes of over 1 % of the image in four real videos, one image to the
 # next: 175 of 2511 alone, 57 with averages, 16 with these, 8 with twice as much.
 YIELDING_DEG, YIELDING_PROBABILITY = 1.0, 0.05
-# A plane has turned by more than so many standard deviations and YIELDING_DEG.
+# A plane has turned if it differs by more than this many standard deviations and YIELDING_DEG.
 # derived: three, as for other differences of planes.
 SIGMAS = 3.0
 
@@ -34,7 +34,7 @@ class PlaneHistory:
     labels: np.ndarray = field(default_factory=lambda: np.empty(0, np.int64))
     images: np.ndarray = field(default_factory=lambda: np.empty(0, np.int64))  # 0: new
     confidences: np.ndarray = field(default_factory=lambda: np.empty(0))  # averages
-    # Averages of normal . gravity; NaN where not known.
+    # Averages of normal . gravity; NaN where unknown.
     cosines: np.ndarray = field(default_factory=lambda: np.empty(0))
     classes: np.ndarray = field(default_factory=lambda: np.empty(0, np.uint8))  # the last ones
     camera: CameraIntrinsics | None = None  # of the image
@@ -57,7 +57,7 @@ class PlaneHistory:
         """
         Return the history with the inclinations in the next image.
 
-        There may be more planes than rows: what follows is new.
+        There may be more planes than rows: the additional planes are new.
         """
         now, rows = planes.normals @ down, len(self.labels)
         angle, before = (np.arccos(np.clip(one, -1, 1)) for one in (now[:rows], self.cosines))

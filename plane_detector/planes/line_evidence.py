@@ -15,7 +15,7 @@ from plane_detector.directions.line_segments import LineSegments
 SIDE_PX = 4.0
 SAMPLES = 9
 # chosen: gravity and the first pair of horizontal axes. Further pairs belong to few walls or to
-# furniture: their lines show which planes may be across them, but exclude no plane.
+# furniture: their lines show which planes may be perpendicular to them, but exclude no plane.
 MAIN_AXES = 3
 # tuned: python -m plane_detector.evaluation.benchmark orientation, flat from 2 to 3.
 AXIS_TOLERANCE_DEG = 2.5
@@ -58,7 +58,7 @@ class LineEvidence:
 
 @dataclass(frozen=True)
 class RegionLines:
-    """Lines of the image and the regions beside them."""
+    """Lines of the image and the regions next to them."""
 
     segments: LineSegments
     # (K, N) float64: of each segment in each region, half of it for either side, at unit focal
@@ -66,7 +66,7 @@ class RegionLines:
     lengths: np.ndarray
 
     def along(self, axes: np.ndarray) -> LineEvidence:
-        """Return the evidence of the segments that are along one of some axes (A, 3)."""
+        """Return the evidence of the segments that are along one of the axes (A, 3)."""
         sine = np.abs(misalignment(self.segments, axes))
         along = np.arange(len(axes)) == sine.argmin(1)[:, None]
         along &= sine < np.sin(np.radians(AXIS_TOLERANCE_DEG))

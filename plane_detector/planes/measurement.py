@@ -41,20 +41,20 @@ TINY_DISPARITY = 1e-9
 # derived: the columns of measurements: normal (3), centroid (3), offset, rms, area, confidence and
 # the covariance (4 x 4) of normal and offset.
 CENTROID, OFFSET, RMS, AREA, CONFIDENCE, COVARIANCE = 3, 6, 7, 8, 9, 10
-# The errors of a plane are those of its whole cells, which it was fitted to, if they hold at least
+# The errors of a plane are those of the whole cells to which it was fitted, if these hold at least
 # this share of its pixels; otherwise, of all its pixels.
 MIN_WHOLE_SHARE = 0.3
 # Structure throughout the image resembles noise. Above this share of both the typical disparity
-# and that of a region it is not noise, and the region is rejected.
+# and that of a region, it is not noise, and the region is rejected.
 MAX_NOISE_SHARE = 0.125
-# chosen: of fewer cells the noise is hardly known: there are no cells four apart to compare.
+# chosen: with fewer cells the noise is hardly known, because no cells four apart can be compared.
 MIN_CELLS_A_SIDE = 5
 # Normals with a smaller standard deviation count as exact.
 MIN_TILT_RAD = 1e-4
 # tuned: fitted to rendered rooms by `benchmark confidence` of 98cc53d, checked on others.
 CONFIDENCE_WEIGHTS = (1.19, 0.43, -0.56)
-# Of measured depth, the rms in excess of so many times that of the noise, divided by the root of
-# the area, at which the confidence is half: leaves or people are no plane.
+# In measured depth, the rms in excess of this many times that of the noise, divided by the square
+# root of the area, at which the confidence is half: leaves or people are not planes.
 # tuned: 6 rooms and 6 lived-in rooms from seed 200 with noise, Brier score: lived-in rooms .156
 # without, .142 to .147 from .028 to .056; rooms .064 without, .066 to .065. At 1 times the noise
 # rooms get .089, at 1.5 times nothing changes.
@@ -108,7 +108,7 @@ def measured_segmentation(regions: PixelRegions, intrinsics: CameraIntrinsics, m
 
 def missing_planes_note(regions: PixelRegions, labels: np.ndarray, min_pixels: float) -> str:
     """
-    Return why regions large enough are no planes, or why there are none; empty if neither.
+    Return why large regions are not planes, or why there are none; empty if neither.
 
     ``labels`` (H, W) are those that :func:`measure_planes` returned.
     """
@@ -135,7 +135,7 @@ def planes_from_sums(regions: PixelRegions, sums: np.ndarray, kept: np.ndarray,
         sums_kept, regions.coefficients[kept], ray_plane_jacobian(camera),
         (noise.pixel_sigma**2 + noise.disparity_floor**2, noise.depth_floor_m**2,
          *_smooth_noise(regions), (noise.lateral_px / regions.grid.width_px)**2,
-         # A network's errors bend its planes.
+         # The errors of a network bend its planes.
          np.inf if noise.source_sigma > 0 else MAX_ROUGHNESS**2), mesh_shares[kept],
         (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height))
     certainty, of_class = (np.broadcast_to(one, len(sums))[kept].astype(float)
@@ -168,9 +168,10 @@ def _measured(sums, planes, jacobian, noise, mesh_shares, camera):
     Return the measurements (K, 26) of planes, in the columns of this module.
 
     The variance of a pixel's own noise is the sum of a constant and a multiple of the fourth power
-    of 1/z; behind them are the variance of the smooth noise, the area that shares its value, the
-    lateral variance, and the square of the largest roughness. A pixel of a mesh may see a little
-    of what is behind it: all are moved by as much as they deviate, and no mean reduces that.
+    of 1/z; the variance of the smooth noise, the area that shares its value, the lateral variance,
+    and the square of the largest roughness follow. A pixel of a mesh may contain a little of the
+    background: all pixels are shifted by as much as they deviate, and averaging does not reduce
+    that.
     """
     fx, fy, cx, cy, width, height = camera
     table, chain, fit = np.zeros((len(sums), 26)), np.empty((4, 3)), np.empty((3, 3))
@@ -217,9 +218,10 @@ def _fit_errors(m, noise, width, fit):
     """
     Write the covariance (3, 3) of the plane fitted to pixels of moments m.
 
-    Own noise of the pixels gives the normal equations. Of noise that is smooth over an area A, n
-    pixels hold about 1 + n / A independent values. It shifts a region much smaller than A by its
-    deviation and tilts it by its slope, that of a Gaussian field of the length sqrt(A / 2 pi).
+    The own noise of the pixels gives the normal equations. If noise is smooth over an area A, n
+    pixels hold about 1 + n / A independent values of it. It shifts a region much smaller than A by
+    its deviation and tilts it by its slope, that of a Gaussian field with the correlation length
+    sqrt(A / 2 pi).
     """
     own, smooth, area = noise
     x, y = m[X] / m[N], m[Y] / m[N]

@@ -34,7 +34,7 @@ RAYLEIGH_MEDIAN = 1.1774
 # The best published normals have a mean error of 10 degrees, part of which is common to a
 # plane; neither source is assumed more accurate than this.
 MIN_SPREAD_RAD = np.radians(2.0)
-# At a larger angle the two normals are of different surfaces, or the map uses other axes.
+# At a larger angle the two normals belong to different surfaces, or the map uses other axes.
 MOST_APART_DEG = 45.0
 MIN_SAMPLES = 20
 
@@ -42,7 +42,7 @@ MIN_SAMPLES = 20
 def reoriented_by_normals(regions: PixelRegions, prediction: Prediction,
                       intrinsics: CameraIntrinsics) -> PixelRegions:
     """
-    Rotate regions towards the normals of a network, weighted by the noise of both.
+    Rotate regions toward the normals of a network, weighted by the noise of both.
 
     Parameters
     ----------

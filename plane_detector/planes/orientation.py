@@ -10,21 +10,21 @@ normal is a mixture: vertical (a horizontal plane); along a horizontal axis; hor
 azimuth (a vertical plane); perpendicular to a horizontal axis (a roof); or free. The axes are
 those of the lines, or those of the planes themselves (plane_axes.py).
 
-1. Each hypothesis of each plane has a marginal likelihood: a density on the sphere for a point,
-   of a circle for one degree of freedom, and a uniform density for two.
+1. Each hypothesis of each plane has a marginal likelihood: a density on the sphere for a point, of
+   a circle for one degree of freedom, and a uniform density for two.
 2. Lines that cannot lie in a plane of that normal reduce the likelihood, and so does a change of
    depth, at the best distance of such a plane, beyond the error of networks.
 3. sigma is the value that maximises the likelihood of all planes of the image (empirical Bayes),
-   so that an accurate network has more weight than an inaccurate one. A region that is flat in the
+   so an accurate network has more weight than an inaccurate one. A region that is flat in the
    depth has an accurate normal: smooth errors that tilt a region also bend it.
 4. Pieces of one surface are likely: a hypothesis gains if a larger piece with this normal
    continues into the region at the depth of the network.
 5. The most likely hypothesis is fused with the network's normal, weighted by their variances.
-6. The probability that it is right is the sum over the hypotheses of this direction, less what
-   the freedom of a circle or of the sphere leaves to the error of the network.
-7. Its class is right with the probability of the hypotheses of that class, divided by one plus the
-   odds that the region is no plane of that direction: the network's depth is far from it, or bent
-   and the region small, or of many colours.
+6. The probability that it is right is the sum over the hypotheses of this direction, reduced by
+   the error of the network that remains along a circle or on the sphere.
+7. The probability of its class is that of the hypotheses of that class, divided by one plus the
+   odds that the region is not a plane of that direction: the network's depth is far from it, or
+   bent although the region is small, or the region has many colours.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ OUTLIER_SIZE, MAX_OUTLIER_SHARE = 0.006, 0.6
 # wrong ones.
 SAME_SURFACE_ODDS, MAX_SURFACE_DEPTH_SHARE = 4.0, 0.15
 SURFACE_DEPTH_PER_RAD = MAX_SURFACE_DEPTH_SHARE / np.radians(12.0)
-# Normals closer than this are equal; hypotheses of one kind differ by rounding only.
+# Normals closer than this are equal; hypotheses of one kind differ only by rounding.
 SAME_NORMAL_COSINE = np.cos(np.radians(6.0))
 # A normal is right within this angle. tuned: benchmark orientation --only planes of commit
 # dec5ee1, flat from 15 to 20 degrees; at 13 a tenth of the coverage on Kinect frames is lost.
@@ -103,7 +103,7 @@ class Orientations:
     sigmas_rad: np.ndarray  # (K,) float64: error of the network's normals
     # (K,) float64: that the true normal is within CLOSE_RAD of the chosen one
     probability: np.ndarray
-    # (K,) float64: that the plane is horizontal, vertical or neither as this normal
+    # (K,) float64: that the plane is horizontal, vertical or neither, as this normal indicates
     class_probability: np.ndarray
 
 
@@ -147,7 +147,7 @@ def score_orientations(planes: Planes, directions: SceneDirections,
     samples : RegionSamples
         Of their pixels.
     shift_rad : float
-        Error of normals by an uncertain shift of the disparity.
+        Error of normals due to an uncertain shift of the disparity.
 
     """
     hypotheses = _hypotheses(planes.normals, directions, evidence, samples.middles)
@@ -158,7 +158,7 @@ def score_orientations(planes: Planes, directions: SceneDirections,
     outliers = np.minimum(OUTLIER_SIZE / np.maximum(samples.image_shares, 1e-6), MAX_OUTLIER_SHARE
                           ) * variances / (variances + EXPECTED_SIGMA_RAD**2)
     scores = _log_likelihood(hypotheses, variances, outliers[..., None]) - lost
-    # Whatever its lines: a region is rotated within its error.
+    # Whatever its lines, a region is rotated only within its error.
     scores[hypotheses.angle_rad > MOST_TILTS * np.sqrt(variances)[..., None]] = -np.inf
     prior = -0.5 * (np.log(SIGMAS_RAD / EXPECTED_SIGMA_RAD) / LOG_SIGMA_SPREAD) ** 2
     evidence_of = np.logaddexp.reduce(scores, axis=2).sum(axis=1) + prior
@@ -170,7 +170,7 @@ def score_orientations(planes: Planes, directions: SceneDirections,
 def most_likely(scored: ScoredOrientations, samples: RegionSamples,
                 colours: np.ndarray) -> Orientations:
     """
-    Return the most likely normal of every plane, and how probable it is.
+    Return the most likely normal of every plane, and its probability.
 
     The numbers of colours (K,) in the regions show which of these mix several surfaces.
     """
@@ -179,7 +179,7 @@ def most_likely(scored: ScoredOrientations, samples: RegionSamples,
     alone = hypotheses.normals[every, scored.scores.argmax(1)]
     likely = scored.scores + _same_surface(hypotheses, alone, scored.sigma_rad, samples)
     chosen = likely.argmax(1)
-    # The network's normal is at least as wrong as it is far from the chosen one.
+    # The error of the network's normal is at least its distance from the chosen one.
     variance = np.maximum(variances, hypotheses.angle_rad[every, chosen] ** 2)
     axis_variance = np.trace(scored.directions.covariance) / 2
     share = axis_variance / (axis_variance + variance)
@@ -188,7 +188,7 @@ def most_likely(scored: ScoredOrientations, samples: RegionSamples,
     posterior = np.exp(likely - likely.max(1, keepdims=True))
     posterior /= posterior.sum(1, keepdims=True)
     down, pairs = scored.directions.gravity_camera, scored.directions.pairs[:1].reshape(-1, 3)
-    # Whichever axis is down, the class has at least the least of their probabilities.
+    # Whichever axis is down, the class has at least the smallest of their probabilities.
     misfits = samples.distances_to_planes(normals, samples.offsets(normals)).diagonal()
     of_class = np.min([
         _class_probability(hypotheses, posterior, normals, axis, variances)
@@ -239,8 +239,8 @@ def normal_variances(planes: Planes, samples: RegionSamples,
     """
     Return the variances (..., K) of normals, rad^2, by errors (..., 1) of the network.
 
-    An error of the shift of the disparity turns planes without a bend. Whatever noise is stated
-    for the network, a region that is flatter has less: exact depth stays exact.
+    An error of the shift of the disparity rotates planes without bending them. Whatever noise is
+    stated for the network, a flatter region has less: exact depth stays exact.
     """
     of_fit = np.trace(planes.covariances[:, :3, :3], axis1=1, axis2=2) / 2
     largest = np.maximum(TILT_PER_BEND * _bends(planes, samples), 1e-6) ** 2

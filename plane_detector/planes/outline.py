@@ -1,10 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Outlines of planes and their enclosing rectangles, also where the pose of the camera puts them.
+Outlines of planes and their enclosing rectangles, in the frame of the camera or placed by its
+pose.
 
-Their corners are where the rays of pixels meet the plane, which the noise of the depth of a single
-pixel does not move.
+Their corners are the intersections of the rays of pixels with the plane, so the depth noise of
+single pixels does not move them.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ class Polygon:
 
     corners_m: np.ndarray
     is_hole: bool
-    area_px: float = math.nan  # inside it in the image; NaN: not of one image
+    area_px: float = math.nan  # inside it in the image; NaN: not from one image
 
 
 @dataclass(frozen=True)
@@ -73,8 +74,8 @@ def all_polygons(labels: np.ndarray, ends: np.ndarray, intrinsics: CameraIntrins
     """
     Return the outlines of each plane: of all its connected parts, and of the holes in them.
 
-    A border is traced in the image and simplified there to 2 pixels (Douglas and Peucker). Unlike
-    a convex hull, this preserves the shape of an L-shaped floor.
+    A border is traced in the image and simplified to 2 pixels (Douglas and Peucker). Unlike a
+    convex hull, this preserves the shape of an L-shaped floor.
 
     Parameters
     ----------
@@ -125,7 +126,7 @@ def _boxes(ends: np.ndarray) -> np.ndarray:
 
 def _on_planes(pixels: Sequence[np.ndarray], planes: Planes, of_plane: np.ndarray,
                intrinsics: CameraIntrinsics) -> list[np.ndarray]:
-    """Return where the rays of pixels (N, 2), column and row, meet the plane of each, (N, 3)."""
+    """Return the points (N, 3) where rays of pixels (N, 2), column and row, meet their planes."""
     if not pixels:
         return []
     counts = [len(one) for one in pixels]
@@ -136,7 +137,7 @@ def _on_planes(pixels: Sequence[np.ndarray], planes: Planes, of_plane: np.ndarra
                    / [intrinsics.fx, intrinsics.fy])
     facing = -(rays * normals).sum(axis=1)
     points_m = (offsets_m / np.maximum(facing, MIN_COSINE))[:, None] * rays
-    # No change but for rays that see the plane edge-on.
+    # This changes only rays that see the plane edge-on.
     points_m -= ((points_m * normals).sum(axis=1) + offsets_m)[:, None] * normals
     return np.split(points_m, np.cumsum(counts)[:-1])
 
@@ -188,7 +189,7 @@ def _rectangles(ends, normals, offsets_m, centroids_m, camera):
     Return rectangles (K, 14): centre, rotation by rows, width and height.
 
     One side of the smallest rectangle lies on a side of the convex hull, which is convex on the
-    plane as it is in the image. The centroid, which noise may put outside, is enclosed too.
+    plane as well as in the image. The centroid, which noise may move outside, is enclosed too.
     """
     table, flat_m = np.zeros((len(ends), 14)), np.empty((4 * ends.shape[1] + 1, 2))
     axes = np.empty((3, 3))
@@ -321,12 +322,12 @@ class PlacedDetection:
 
     detection: Detection  # in the frame of the image
     intrinsics: CameraIntrinsics  # of the image
-    # From the frame of the image into another one; None: not known, or the same.
+    # From the frame of the image into another one; None: unknown, or the same.
     pose: RigidTransform | None = None
-    stamp_s: float = float('nan')  # time of the image; NaN: not known
+    stamp_s: float = float('nan')  # time of the image; NaN: unknown
 
     def placed(self, points_m: np.ndarray) -> np.ndarray:
-        """Return points (..., 3) of the frame of the image where the pose puts them."""
+        """Return points (..., 3) of the frame of the image, transformed by the pose."""
         return points_m if self.pose is None else self.pose.points(points_m)
 
     @cached_property

@@ -1,10 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Patches of one colour: regions of many are seldom one surface, and what is on no plane is filled.
+Patches of uniform colour: regions of many patches are seldom one surface; filling of unlabelled
+pixels.
 
-The depth of a network is off its planes in places, by more than its noise. The planes are measured
-and reoriented without these pixels, which only take the label of most of their patch.
+In places, the depth of a network is off its planes by more than its noise. The planes are measured
+and reoriented without these pixels, which only take the most frequent label of their patch.
 """
 
 from __future__ import annotations
@@ -18,16 +19,16 @@ from plane_detector.types import NO_SHAPE_LABELS, CameraIntrinsics, Planes
 # A pixel off the plane of its patch by more than this share of its depth is on another surface.
 # tuned: eleven frames labelled by hand and 21 others, through FastDepth: flat from .15 to .5.
 MAX_DEPTH_SHARE = 0.25
-# Colours of a region where none are known, without blurred borders. measured: the median of 6000
-# regions of images through FastDepth; a quarter has less than 1.4, another more than 5.1.
+# Number of colours of a region if it is unknown, without blurred borders. measured: the median of
+# 6000 regions of images through FastDepth; a quarter has less than 1.4, another more than 5.1.
 USUAL_COLOURS = 2.6
 
 
 def colours_in_regions(labels: np.ndarray, patches: np.ndarray, count: int) -> np.ndarray:
     """
-    Return how many colours each of a number of regions has, (K,) float64.
+    Return the effective number of colours of each region, (K,) float64.
 
-    It is the number of patches of equal size that would be as mixed: one over the sum of the
+    It is the number of equally large patches that would be as mixed: one over the sum of the
     squares of the shares of the patches [Simpson 1949].
 
     Examples
@@ -50,7 +51,7 @@ def fill_patches(labels: np.ndarray, patches: np.ndarray, planes: Planes, depth_
                  intrinsics: CameraIntrinsics,
                  shape_labels: np.ndarray = NO_SHAPE_LABELS) -> np.ndarray:
     """
-    Give the pixels on no plane that of the patch around them.
+    Give unlabelled pixels the plane of the patch around them.
 
     Parameters
     ----------
@@ -101,7 +102,7 @@ def fill_patches(labels: np.ndarray, patches: np.ndarray, planes: Planes, depth_
 @kernel('int32[:, ::1](int32[:, ::1], int32[:, ::1], float64[:, ::1], float32[:, ::1], '
         'UniTuple(float64, 4))', subject='network')
 def _fill(labels, of_patches, slopes, depth_m, camera):
-    """Return the labels with those of the patches where there are none and the depth is near."""
+    """Return the labels, filled from the patches where there are none and the depth is near."""
     filled, (fx, fy, cx, cy) = labels.copy(), camera
     for v in range(labels.shape[0]):
         for u in range(labels.shape[1]):

@@ -1,21 +1,21 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Axes that the planes of a good depth have in common, against those of misleading lines.
+Common axes of the planes of good depth, as opposed to those of misleading lines.
 
-The lines of stripes, posters and tiles laid at an angle may agree on axes that no plane has.
-The planes decide: if their normals are as accurate as they look, most are along the true axes
-within half a degree, and at false ones only by chance.
+The lines of stripes, posters and diagonal tiles may agree on axes that no plane has. The planes
+decide: if their normals are as accurate as they seem, most are along the true axes within half a
+degree, and along false axes only by chance.
 
 1. Every two planes that may be perpendicular propose axes. The most likely proposal is fitted to
    the planes near it, weighted by their errors.
 2. Its prior is the posterior of the axes from the lines, with the probability that these are
-   wrong. It is the mass of all axes that fit the planes as well, so that inaccurate planes do
-   not count what they gain by the choice of axes.
-3. All planes are oriented with both; their own axes are taken if prior times likelihood is
-   larger, and if about these the median error of the normals is below that of usual networks.
-   Where own axes are right it is at most 6 degrees (rooms with misleading pictures, errors up to
-   5 %), in the 4 of 64 frames through fastdepth that took theirs, 2 to 12 degrees off, 14 to 20.
+   wrong. It is the mass of all axes that fit the planes equally well, so that inaccurate planes
+   gain nothing from the choice of axes.
+3. All planes are oriented with both; their own axes are used if prior times likelihood is larger,
+   and if the median error of the normals about them is below that of usual networks. Where own
+   axes are right it is at most 6 degrees (rooms with misleading pictures, errors up to 5 %), in
+   the 4 of 64 frames through fastdepth that took theirs, 2 to 12 degrees off, 14 to 20.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ import numpy as np
 from plane_detector.directions.prior import held_density
 from plane_detector.directions.vanishing import MIN_PROBABILITY, SceneDirections
 
-# Error of the normals of a depth good enough to contradict lines, whatever its bend allows.
+# Error of the normals of depth that is good enough to contradict lines, whatever its bend allows.
 # chosen: between those of smooth noise of .002 and of .008 per metre on large planes.
 OWN_SIGMA_RAD = np.radians(1.0)
 # Votes of each plane: their errors are not independent. tuned: rooms with misleading pictures,
@@ -39,7 +39,7 @@ PLANE_VOTE = 0.85
 WRONG = 0.02
 # The largest planes propose axes if they are perpendicular within this angle; the fit moves these.
 PROPOSING, PROPOSAL_RAD, FIT_ROUNDS = 8, np.radians(10.0), 3
-# derived: of the axes, whose signs and order have no meaning.
+# derived: for axes whose signs and order have no meaning.
 ALL_AZIMUTHS = np.pi / 2
 
 
@@ -103,7 +103,7 @@ def _fitted(axes: np.ndarray, normals: np.ndarray,
         weights = np.exp(-0.5 * off_rad**2 / variances) / variances
         # The rotation of the axes with the largest sum of weights times cosines (Kabsch).
         moment = (weights[:, None] * near * np.sign(cosine)).T @ normals
-        left, _, right = np.linalg.svd(moment + axes)  # which stay where no plane turns them
+        left, _, right = np.linalg.svd(moment + axes)  # which stay where no plane rotates them
         axes = left @ np.diag([1, 1, np.linalg.det(left @ right)]) @ right
     return axes, 1 / (1 + weights.sum())
 

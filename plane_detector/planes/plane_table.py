@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""The fields of ``~/planes`` in their order, of planes and of the rectangles around them."""
+"""The fields of ``~/planes`` in order, for planes and their enclosing rectangles."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from plane_detector.plane_fields import Column, Published, columns_of, wire_type
 from plane_detector.planes.outline import Rectangles
 from plane_detector.types import Planes
 
-# Promised to those who read by place; all that is added follows, in the order of the columns.
+# Guaranteed for programs that read by position; later additions follow, in column order.
 FIRST = ('x', 'y', 'z', 'normal_x', 'normal_y', 'normal_z', 'd', 'label', 'num_inliers', 'rms',
          'area', 'class', 'confidence', 'rect_x', 'rect_y', 'rect_z', 'rect_qx', 'rect_qy',
          'rect_qz', 'rect_qw', 'rect_width', 'rect_height', 'merged')
 
 
 def _parts() -> list[tuple[Column, Published]]:
-    """Return what is published, in order, and the column that it is made from."""
+    """Return the published parts in order, each with the column that it is made from."""
     parts = [(row, part) for table in (Planes, Rectangles)
              for row in columns_of(table).values() for part in row.published]
     places = {name: place for place, name in enumerate(FIRST)}

@@ -61,7 +61,7 @@ class RegionSamples:
 
     def distances_to_planes(self, normals: np.ndarray, offsets: np.ndarray) -> np.ndarray:
         """
-        Return how far regions are from planes (K, J), as root mean square log ratio of depths.
+        Return the distance of regions from planes (K, J), as root mean square log ratio of depths.
 
         The planes have normals (J, 3) and offsets (J,); infinite if the offset is not finite.
         """
@@ -73,17 +73,19 @@ class RegionSamples:
         """
         Return the distance (K,) of planes with normals (K, 3); NaN if unknown.
 
-        The noise is near constant in 1/z, which is cosine / distance: least squares there.
+        The noise is nearly constant in 1/z, which is cosine / distance, so least squares is used
+        there.
         """
         return _offsets(self.rays, self.disparity, self.region, np.ascontiguousarray(normals))
 
     @cached_property
     def roughness(self) -> np.ndarray:
         """
-        Return how far the depth of each region (K,) is from a plane, as a share of its depth.
+        Return the deviation of the depth of each region (K,) from a plane, as a share of its
+        depth.
 
-        It is the standard deviation of normal errors with the median of these: pixels of another
-        surface at the border of a region do not bend it.
+        It is the standard deviation of normally distributed errors with their median: pixels of
+        another surface at the border of a region do not affect it.
         """
         ratio = self.own_cosine / self.disparity  # of plane and depth, times the offset
         bounds = np.searchsorted(self.region, np.arange(self.count + 1))
@@ -105,7 +107,7 @@ class RegionSamples:
 
 def sample_regions(regions: PixelRegions, planes: Planes,
                    intrinsics: CameraIntrinsics) -> RegionSamples:
-    """Sample pixels of regions of 1/z, which are those of planes, on a grid over the image."""
+    """Sample pixels of regions of 1/z, which belong to planes, on a grid over the image."""
     step = max(1, int(np.sqrt(regions.labels.size / SAMPLES)))
     thinned = (slice(None, None, step),) * 2
     labels, disparity = regions.labels[thinned], regions.disparity[thinned]

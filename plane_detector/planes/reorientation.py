@@ -32,7 +32,7 @@ from plane_detector.types import CameraIntrinsics, Planes
 SAME_NORMAL_DEG, OFFSET_PER_RAD, MAX_OFFSET_SHARE, BORDER_REACH_PX = 5.0, 0.5, 0.1, 5
 # derived: the orientation of a piece is more likely wrong than right below this.
 MIN_PROBABILITY = 0.5
-# The depth may jump by this share for each radian that the normals are off, where they touch.
+# Where pieces touch, depth may jump by this share per radian of error of the normals.
 # tuned: as above, flat from 0.06 to 0.1; saved depth of a strong network (corridor wall), in which
 # samples on a wall jump by 0.1 and more.
 STEP_PER_RAD = 0.08
@@ -73,7 +73,7 @@ def reorient(regions: PixelRegions, planes: Planes, lines: ImageDirections,
     """
     Rotate regions to their most likely orientation, and merge those that are then coplanar.
 
-    The normals may have in common that the network's 1/z is shifted.
+    The normals may have a common error, because the network's 1/z is shifted.
 
     Parameters
     ----------
@@ -116,7 +116,7 @@ def reorient(regions: PixelRegions, planes: Planes, lines: ImageDirections,
         return other if _outvotes(other, best, log_prior) else best
 
     best = with_own_axes(by_lines, planes)
-    # Planes that are at right angles as they are have no shift.
+    # Planes that are already at right angles have no shift.
     if best is by_lines and shifted is not None:
         other, log_odds = scored(lines, shifted[0]), shifted[1]
         if other.log_evidence - best.log_evidence + log_odds > 0:
@@ -127,7 +127,7 @@ def reorient(regions: PixelRegions, planes: Planes, lines: ImageDirections,
     changed = found.is_changed & np.isfinite(refitted)
     normals[changed], offsets[changed] = found.normals[changed], refitted[changed]
     is_sure = found.probability > MIN_PROBABILITY
-    # What normals have rotated has right angles, but its depth is as bent as before.
+    # Regions rotated by normals have right angles, but their depth is as bent as before.
     off_rad = np.maximum(found.sigmas_rad, regions.rotated_rad)
     agree = _agreeing(normals, offsets, off_rad) & is_sure & is_sure[:, None]
     group = _groups(agree & _continuous(regions, planes, intrinsics, off_rad))
@@ -143,7 +143,7 @@ def reorient(regions: PixelRegions, planes: Planes, lines: ImageDirections,
 
 
 def _outvotes(own: ScoredOrientations, by_lines: ScoredOrientations, log_prior: float) -> bool:
-    """Return whether axes of planes, with a log prior, are taken; a poor network has no vote."""
+    """Return whether axes of planes, with a log prior, are used; a poor network has no vote."""
     votes = PLANE_VOTE * (own.log_evidence - by_lines.log_evidence) + log_prior
     return bool(votes > 0 and np.median(own.variances) < EXPECTED_SIGMA_RAD**2)
 
@@ -151,10 +151,10 @@ def _outvotes(own: ScoredOrientations, by_lines: ScoredOrientations, log_prior: 
 def _at_likely_shift(planes: Planes, variances: np.ndarray, axes: np.ndarray,
                      typical_disparity: float) -> tuple[Planes, float] | None:
     """
-    Return planes as a shift of 1/z by the network turns them back to the axes, and its log prior.
+    Return planes corrected for the most likely shift of the network's 1/z, and its log prior.
 
-    A shift turns planes without a bend, all by one rule: n / d changes along the optical axis.
-    None if no shift is the most likely, or one at the end of the range: a flat world.
+    A shift rotates planes without bending them, all in one way: n / d changes along the optical
+    axis. None if no shift is most likely, or if it is at the end of the range: a flat world.
     """
     change = SHIFT_SHARES[:, None, None] * [0.0, 0.0, typical_disparity]
     normals = unit_vectors(planes.normals / planes.offsets_m[:, None] - change)
@@ -176,7 +176,7 @@ def _rotated(regions: PixelRegions, normals: np.ndarray, offsets: np.ndarray,
     in_pixels = regions.grid.planes_in_pixels(planes)
     height, width = regions.labels.shape
     corners = [[u, v, 1.0] for v in (0, height - 1) for u in (0, width - 1)]
-    labels = regions.labels  # unless a plane is too far in a corner, and so may be elsewhere
+    labels = regions.labels  # unless a plane is too far away in a corner, and so may be elsewhere
     if (in_pixels @ np.transpose(corners) < lowest[:, None]).any():
         labels = _seen_from_front(labels, in_pixels, lowest)
     return replace(regions, labels=labels, coefficients=planes)
