@@ -125,8 +125,8 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
     'planes/classification.py': (
         ('UPRIGHT_SHARE / np.pi', 'UPRIGHT_SHARE * np.pi', 'too many planes are upright before'),
         ('<= -np.cos(np.radians(TOL', '<= -np.sin(np.radians(TOL', 'slopes are level'),
-        ('facing_down >= level', 'facing_down <= -level', 'floor and ceiling swapped'),
-        ('(facing_down) <= upright', '(facing_down) <= level', 'sine and cosine swapped')),
+        ('above = facing_down >= np', 'above = facing_down <= -np', 'floor and ceiling swapped'),
+        ('np.sin(np.radians(upright))', 'np.cos(np.radians(upright))', 'sine and cosine swapped')),
     'scale/floor.py': (
         ('by_gravity = scale * sine * np.radians(tolerance_deg) / 2 *',
          'by_gravity = 0 *', 'the error of gravity is none of the scale'),
