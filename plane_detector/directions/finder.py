@@ -34,28 +34,28 @@ from plane_detector.directions.vanishing import (
 from plane_detector.geometry.gravity import unit_direction
 from plane_detector.types import COARSE_DEG, CameraIntrinsics, Gravity, PlaneSegmentation
 
-# While a camera does not turn, as its planes show, the lines are held for so many times longer,
-# and each time that they are found again for twice as long, up to 2 s.
+# While planes show that a camera does not turn, the lines are kept for this many times longer, and
+# for twice as long each time that they are found again, up to 2 s.
 STEADY_TIMES, MOST_STEADY_TIMES = 5, 20
-# chosen: a tenth of what gravity from an image may be off. With noise of .001, .002 and .004 per
-# metre on real images, 100, 92 and 82 % of the frames of a still camera are within it.
+# chosen: a tenth of the tolerated error of gravity from an image. With noise of .001, .002 and
+# .004 per metre on real images, 100, 92 and 82 % of the frames of a still camera are within it.
 TURNED_RAD = math.radians(0.5)
-# Of a plane whose normal counts, and between two of them: a plane does not show turns about
+# Of a plane whose normal counts, and between two of them: a plane does not show rotations about
 # its normal.
 LARGE_SHARE, APART_RAD = 0.02, math.radians(20)
 # Largest likely error of gravity from lines, in standard deviations.
 LIKELY_SIGMAS = 2.0
-# After a jump of the camera or a cut, half of 1/z differs by more than this share from the image
-# before, of which every eighth pixel is looked at. measured: the median difference is .002 of a
-# standing sensor, .004 to .010 of one held by hand at 30 images/s, .05 to .15 at 1.5 images/s.
+# After a jump of the camera or a cut, half of 1/z differs by more than this share from the
+# previous image; every eighth pixel is compared. measured: the median difference is .002 for a
+# stationary sensor, .004 to .010 for a handheld one at 30 images/s, .05 to .15 at 1.5 images/s.
 JUMP_SHARE, THINNED = 0.04, 8
 # Error of a guessed focal length, as a share of it. derived: a horizontal field of view of 60 to
 # 75 degrees, taken as 67.
 GUESSED_FOCAL = 0.15
-# Weight of what a network shows of the sides of the image. measured: fastdepth, which has seen
-# upright images only, finds floors at the bottom of images that are turned, too: of 60 images of a
-# walk turned by 90 degrees in 58, upright in 49. With .3 as much more is answered (of rooms turned
-# by 90 degrees 0 to 17 % more, all wrong; upright 4 to 60 % more).
+# Weight of the evidence of a network on the sides of the image. measured: fastdepth, which was
+# trained on upright images, also finds floors at the bottom of turned images: in 58 of 60 images
+# of a walk turned by 90 degrees, upright in 49. With .3 more is answered (rooms turned by 90
+# degrees 0 to 17 % more, all wrong; upright 4 to 60 % more).
 NETWORK_SIDES = 0.0
 
 
@@ -64,7 +64,7 @@ class ImageDirections:
     """Lines of an image and the directions estimated from them."""
 
     segments: LineSegments
-    directions: SceneDirections  # of this image and those before it
+    directions: SceneDirections  # of this image and the previous ones
     step: Step | None = None  # for the next image
 
     @property
@@ -82,7 +82,7 @@ class ImageDirections:
 
 @dataclass(frozen=True)
 class CameraImage:
-    """An image and what is known of its pixels."""
+    """An image and what is known about its pixels."""
 
     rgb: np.ndarray  # (H, W, 3) uint8: rectified
     intrinsics: CameraIntrinsics  # of that image
@@ -90,11 +90,11 @@ class CameraImage:
     covered: np.ndarray | None = None
     # (H, W) float32 or None: affine in 1/z; NaN invalid. Its trend is evidence for the vertical
     disparity: np.ndarray | None = None
-    has_shift: bool = False  # of the disparity; without one, its normals are evidence, too
-    stamp_s: float = float('nan')  # time of the image; NaN: not known
+    has_shift: bool = False  # of the disparity; without one, its normals are evidence too
+    stamp_s: float = float('nan')  # time of the image; NaN: unknown
     is_measured: bool = False  # the disparity, not a network's
     is_lens_guessed: bool = False  # the focal length of the intrinsics is a guess
-    is_still: bool = False  # nothing moved since the image before, as far as is known
+    is_still: bool = False  # nothing has moved since the previous image, as far as is known
 
 
 def find_in_image(image: CameraImage, expected: Expected | None = None,
@@ -109,7 +109,7 @@ def find_in_image(image: CameraImage, expected: Expected | None = None,
     expected : Expected, optional
         Default: a camera held upright.
     before : ImageDirections, optional
-        Of the image before.
+        Of the previous image.
     mounting : str
         As ``directions.mounting``.
 
@@ -153,7 +153,7 @@ class Surroundings:
 
     @property
     def open_axes(self) -> np.ndarray:
-        """Axes (A, 3) of the scene, from the image, of which any may be the vertical."""
+        """Axes (A, 3) of the scene, from the image, any of which may be the vertical."""
         if self.lines is None or self.lines.directions.open_axis is None:
             return np.zeros((0, 3))
         return self.lines.axes
@@ -171,7 +171,7 @@ def choose_gravity(measured: np.ndarray | None, given: tuple[float, ...], tolera
     given : (3,) float
         The parameter ``scale.gravity``; 0 0 0 means unknown.
     tolerance_deg : float
-        Of both. A coarse direction is replaced by one of the image that agrees with it.
+        Of both. A coarse direction is replaced by a direction from the image that agrees with it.
     directions : SceneDirections, optional
         Of the image, if they were estimated.
     measured_by : str
@@ -193,10 +193,10 @@ def choose_gravity(measured: np.ndarray | None, given: tuple[float, ...], tolera
 
 class DirectionFinder:
     """
-    Finds the directions of each image, with the posterior of the images before.
+    Finds the directions of each image, with the posterior of the previous images.
 
-    The lines found last are held while nothing moves: a camera that its planes show not to turn
-    needs them again only after up to two seconds. Images come in order, each followed by its
+    The last lines are kept while nothing moves: if planes show that the camera does not turn, they
+    are needed again only after up to two seconds. Images come in order, each followed by its
     planes.
     """
 
@@ -205,7 +205,7 @@ class DirectionFinder:
         self._found_s = float('nan')
         self._stamp_s = float('nan')
         self._is_held = False
-        self._thinned = np.zeros((0, 0))  # disparity of the image before
+        self._thinned = np.zeros((0, 0))  # disparity of the previous image
         self._normals: dict[int, list[float]] = {}  # by label, when the lines were found
         self._hold_times = 1
 

@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Likelihood of frames of three perpendicular axes, by lines of the image and normals of its depth.
+Likelihood of frames of three perpendicular axes, from lines of the image and normals of its depth.
 
-Each line points to one of the axes, or anywhere; each normal is along one of them, or horizontal,
-or anything.
+Each line points to one of the axes, or anywhere; each normal is along one of them, horizontal, or
+arbitrary.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ SAME_LINE_DEG = 1.5
 # tuned: of those said to be right with .8 to .9, .86 to .97 are at 0.35, .82 to .89 at 0.5, .74
 # to .93 at 0.7.
 LINE_VOTE, FULL_LENGTH = 0.5, 0.114
-# Share of the lines that are along no axis, before and in the best coarse cell: its prior counts
+# Share of the lines that are along no axis, a priori and in the best coarse cell: its prior counts
 # as much as this many votes. tuned: flat from 1 to 5 votes and from 0.4 to 0.5. With a fixed share
 # 3 of 60 images of random strokes are answered, with this none.
 STRAY_LINES, STRAY_PRIOR_VOTES, STRAY_ROUNDS = 0.4, 5.0, 10
-# Errors of normals, of which the most likely one is taken. measured: with finer steps 1.5 degrees
+# Errors of normals, of which the most likely one is used. measured: with finer steps 1.5 degrees
 # in exact depth, 1.5 to 4 with noise of .002 per metre, 4 to 14 with .008, of sensors 1.5 to 10,
 # of fastdepth mostly 10 to 20.
 NORMAL_DEG = (3.5, 7.0, 14.0)
@@ -62,7 +62,7 @@ class Evidence:
     lines: np.ndarray
     normals: np.ndarray  # (M, 3) float64: of the surfaces of the depth
     normal_rad: float = np.radians(NORMAL_DEG[-1])  # their error
-    stray_share: float = STRAY_LINES  # of the lines, along no axis
+    stray_share: float = STRAY_LINES  # share of the lines that are along no axis
     log_odds_down: float = 0.0  # of a camera that looks straight down
     # four log likelihoods that gravity points to the bottom, right, top and left of the image
     log_turned: Sequence[float] = TAKEN_AS_UPRIGHT
@@ -80,7 +80,7 @@ def line_table(segments: LineSegments, focal_error: float) -> np.ndarray:
     unit = normals / np.linalg.norm(normals, axis=1, keepdims=True)
     in_line = (np.abs(unit @ unit.T) > np.cos(np.radians(SAME_LINE_DEG))).sum(axis=1)
     variance = np.radians(LINE_DEG) ** 2 + (END_ERROR / segments.lengths) ** 2
-    # The image of a direction moves towards the centre by this share, and the line past it.
+    # The image of a direction moves toward the centre by this share, and the line past it.
     variance += (focal_error * np.linalg.norm(segments.midpoints[:, :2], axis=1)) ** 2
     votes = LINE_VOTE * np.sqrt(segments.lengths / FULL_LENGTH) / in_line
     return np.column_stack([normals, segments.midpoints, variance, votes])
@@ -89,7 +89,7 @@ def line_table(segments: LineSegments, focal_error: float) -> np.ndarray:
 def log_likelihood(bases: np.ndarray, azimuths_rad: np.ndarray, evidence: Evidence,
                    error_rad: float) -> tuple[np.ndarray, np.ndarray]:
     """
-    Return the tempered log likelihoods of the upright lines, and of all else, both (V, A).
+    Return the tempered log likelihoods of upright lines and of everything else, both (V, A).
 
     Parameters
     ----------
@@ -149,7 +149,7 @@ def _sum_of_logs(votes, values, fractions):
 def _add_normals(basis, cosines, sines, normals, errors_rad, sums):
     """Add the log likelihoods (A,) of normals."""
     variance = errors_rad[0] * errors_rad[0] + errors_rad[1] * errors_rad[1]
-    sharp = 1 / variance  # a division takes as long as all else in the loop over azimuths
+    sharp = 1 / variance  # a division takes as long as everything else in the loop over azimuths
     # Densities relative to a uniform one: of six directions and of a circle on the sphere.
     of_axis = (1 - OTHER_WALLS) * 4 * np.pi / (6 * 2 * np.pi * variance)
     of_circle = OTHER_WALLS * 4 * np.pi / (2 * np.pi * np.sqrt(2 * np.pi * variance))

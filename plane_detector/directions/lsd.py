@@ -5,11 +5,12 @@ LSD, a line segment detector, with the steps of the implementation in OpenCV.
 
 1. The image is blurred and reduced to .8 of its size. The gradient is that of squares of four
    pixels; where it may be that of rounded values alone, a pixel has none.
-2. Of the pixels, the steepest first, each that is free begins a region. It grows by its neighbours
-   whose edges have the direction of the region, within a tolerance.
-3. A region that is too small to be no accident becomes a box: its axis is that of the moments.
-4. A box that is not filled grows again with the tolerance that its angles show. It is then cut,
-   from the end farther from its first pixel, until it is filled.
+2. Each free pixel, the steepest first, starts a region. The region grows by neighbours whose edges
+   have its direction, within a tolerance.
+3. A region that is large enough not to be accidental becomes a box, whose axis is that of the
+   moments.
+4. A box that is not filled grows again with the tolerance of its own angles. It is then cut, from
+   the end farther from its first pixel, until it is filled.
 
 OpenCV sorts all pixels and measures angles in double precision. Here the pixels with a gradient
 are sorted by sixteenths of a grey level, and directions are compared by their cosine; it takes
@@ -38,7 +39,7 @@ REDUCTION, BLUR_PX = 0.8, 0.6
 # pixel, above which an error of two levels turns an edge by less.
 TOLERANCE_RAD = math.radians(22.5)
 LEAST_GRADIENT = 2 / math.sin(TOLERANCE_RAD)
-# Share of the pixels of a box that are in its region, and what is left of its length by a cut.
+# Share of the pixels of a box that are in its region, and share of its length that a cut leaves.
 LEAST_DENSITY, CUT = 0.7, 0.75
 # chosen: finer steps change no segment.
 STEPS_PER_GREY = 16

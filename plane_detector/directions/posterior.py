@@ -3,17 +3,18 @@
 """
 Posterior of the vertical and of the azimuth of the scene.
 
-1. A grid has every frame of three perpendicular axes once; each axis, up or down, may be the
-   vertical. The prior is how cameras are mounted: upright, on a side, upside down, or looking
-   straight down, or a coarse direction of gravity, and the modes of the views before.
-2. Each line segment points to one of the axes, with an error by its length, or anywhere; the share
-   of those is that of the best coarse cell. Segments of one line share one vote.
-3. Each surface of the depth has a normal along one of the axes, or horizontal, or anything, with
-   the error for which these normals alone are most likely, and one vote however large it is.
+1. A grid contains every frame of three perpendicular axes once; each axis, up or down, may be the
+   vertical. The prior consists of the mountings of cameras (upright, on a side, upside down,
+   looking straight down) or a coarse direction of gravity, and of the modes of previous views.
+2. Each line segment points to one of the axes, with an error that depends on its length, or
+   anywhere; the share of the latter is that of the best coarse cell. Segments of one line share
+   one vote.
+3. Each surface of the depth has a normal along one of the axes, horizontal, or arbitrary, with the
+   error for which these normals alone are most likely, and one vote regardless of its size.
 4. The evidence of lines is tempered: edges of one object are not independent.
-5. The grid is coarse first; its best cells are divided once more. The verticals within 5 degrees
-   of an answer are its mass: the probability that it is right. The mass of all frames with one of
-   its axes is the probability of that axis, whichever side is down.
+5. The grid is coarse at first; its best cells are subdivided once. The mass of the verticals
+   within 5 degrees of an answer is the probability that it is right. The mass of all frames with a
+   given axis is the probability of that axis, whichever side is down.
 
 References
 ----------
@@ -69,8 +70,8 @@ CELL_RAD = np.radians(STEP_DEG / DIVISION)
 COARSE_ERROR_DEG, FINE_ERROR_DEG = 3.1, 0.8
 # Verticals within this angle of the answer are the same. chosen: what planes can use.
 CLOSE_DEG = 5.0
-# Modes that are carried to the next image, and the least mass of one. chosen: others hold less
-# than the probability that is asked for leaves.
+# Modes that are carried to the next image, and the least mass of one. chosen: the others hold less
+# than the required probability leaves.
 MOST_MODES, LEAST_MASS = 6, 0.01
 
 
@@ -79,7 +80,7 @@ def collect_evidence(segments: LineSegments, surface: np.ndarray | None = None,
                      log_turned: Sequence[float] = TAKEN_AS_UPRIGHT,
                      focal_error: float = 0.0) -> Evidence:
     """
-    Return what the posterior takes from an image.
+    Return the evidence of an image for the posterior.
 
     Parameters
     ----------
@@ -107,8 +108,8 @@ class Posterior:
 
     downs: np.ndarray  # (V, 3) float64: unit vectors
     masses: np.ndarray  # (V,) float64: their sum is 1
-    unsided: np.ndarray  # (V,) float64: masses without what faces the sides of the image
-    frames: np.ndarray  # (V, 3, 3) float64: the three axes of which each is one
+    unsided: np.ndarray  # (V,) float64: masses without the evidence of the sides of the image
+    frames: np.ndarray  # (V, 3, 3) float64: the three axes, one of which each vertical is
 
     def along(self, axis: np.ndarray) -> float:
         """Return the probability of all frames with an axis (3,), whichever side is down."""
@@ -130,7 +131,7 @@ class Posterior:
         return down
 
     def modes(self, down: np.ndarray) -> Modes:
-        """Return the modes, of which the first one is about a given vertical."""
+        """Return the modes, the first one about a given vertical."""
         left, means, covariances, masses, unsided = self.masses, [], [], [], []
         while True:
             is_near = self.near(down)
@@ -198,7 +199,7 @@ def upright_posterior(evidence: Evidence, expected: Expected) -> tuple[np.ndarra
 
 
 def _with_stray_share(evidence: Evidence, base: np.ndarray, azimuth_rad: float) -> Evidence:
-    """Return evidence with the share of lines that are along no axis of a frame."""
+    """Return the evidence with the share of lines that are along no axis of a frame."""
     share, lines = STRAY_LINES, evidence.lines
     x = np.cos(azimuth_rad) * base[1] + np.sin(azimuth_rad) * base[2]
     axes = np.array([base[0], x, cross(base[0], x)])
@@ -232,7 +233,7 @@ def _with_normal_error(evidence: Evidence) -> Evidence:
 
 @dataclass(frozen=True)
 class _CoarseGrid:
-    """All frames of three axes at right angles, each once."""
+    """All frames of three perpendicular axes, each once."""
 
     tilts: np.ndarray  # (V, 2) float64: pitch and roll, degrees, of the axis closest to the bottom
     azimuths: np.ndarray  # (V, A) float64: of the other two axes, degrees
@@ -278,7 +279,7 @@ def _frames(bases: np.ndarray, azimuths_deg: np.ndarray) -> np.ndarray:
 
 
 def _both_ways(frames: np.ndarray) -> np.ndarray:
-    """Return the axes (6 F, 3) of frames (F, 3, 3): of each its three, then their opposites."""
+    """Return the axes (6 F, 3) of frames (F, 3, 3): for each its three, then their opposites."""
     return np.concatenate([frames, -frames], axis=1).reshape(-1, 3)
 
 

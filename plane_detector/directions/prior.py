@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Prior of the vertical: how cameras are mounted, and what the views before have shown.
+Prior of the vertical: the mountings of cameras, and the evidence of previous views.
 
 Cameras are held upright, on a side or upside down, or look straight down; or a sensor gives a
 coarse direction of gravity.
@@ -17,12 +17,11 @@ import numpy as np
 
 from plane_detector._runtime.compilation import kernel
 
-# Values said to be tuned are so as those of posterior.py.
-#
-# Prior of pitch and roll of a camera held by hand or on a robot: mean and spread of the pitch,
-# spread of the roll. tuned: the roll, Brier score of rendered scenes .065 at 8 degrees, .072 at
-# 10, .081 at 12; of real ones .092, .094, .095. chosen: the pitch, from looking up slightly to
-# looking at the floor; whoever looks up is as likely to be upside down.
+# Values said to be tuned are so as those of posterior.py.  Prior of pitch and roll of a camera
+# held by hand or on a robot: mean and spread of the pitch, spread of the roll. tuned: the roll,
+# Brier score of rendered scenes .065 at 8 degrees, .072 at 10, .081 at 12; of real ones .092,
+# .094, .095. chosen: the pitch, from looking up slightly to looking at the floor; a camera that
+# looks up is as likely to be upside down.
 PITCH_DEG, HELD_DEG = 15.0, (25.0, 8.0)
 # Share of cameras that look straight down (arms, drones, desks), and their tilt from there; 37
 # tilts more. A wall straight ahead and a table straight below have the same lines and normals.
@@ -43,14 +42,15 @@ PEAKS = np.vstack([
     [[LOOKING_DOWN / (2 * math.pi * math.radians(DOWN_DEG) ** 2)]]])
 # Keeps logarithms finite; and the squared deviation beyond which a bell, 1e-13 of its peak, is 0.
 TINY, FAR_SQUARE = 1e-30, 60.0
-# A vertical of the views before has this power of the density of mountings in each further view: a
-# camera that turns keeps its tilt against the vertical, and not against the other axes. tuned: by
-# colour, three walks in four mountings, answered upright and wrong turned: at 0 55 and 3 %, at
-# .25 57 and 0 %, at .4 61 and 0 %, and then more of a turned camera that pans back and forth.
+# In each further view, a vertical of previous views is weighted by this power of the density of
+# mountings: a camera that turns keeps its tilt against the vertical, but not against the other
+# axes. tuned: by colour, three walks in four mountings, answered upright and wrong turned: at 0 55
+# and 3 %, at .25 57 and 0 %, at .4 61 and 0 %, and then more of a turned camera that pans back and
+# forth.
 STEADY = 0.25
-# Cameras turn about the vertical more than about other axes: the likelihood of a vertical is the
-# share of the turning about it, one observation for all views. measured: .78 and .70 in two walks
-# with poses. Less turning than this shows little. chosen: two views.
+# Cameras rotate about the vertical more than about other axes: the likelihood of a vertical is the
+# share of the rotation about it, one observation for all views. measured: .78 and .70 in two walks
+# with poses. Less rotation than this shows little. chosen: two views.
 LITTLE_TURN_RAD = np.radians(12.0)
 # Without depth no camera is turned.
 TAKEN_AS_UPRIGHT = (math.log((1 - LOOKING_DOWN) / (1 - LOOKING_DOWN - 3 * TURNED)),
@@ -65,8 +65,8 @@ class Modes:
     covariances: np.ndarray  # (K, 3, 3) float64: rad^2
     # (K,) float64: probability that the true vertical is within CLOSE_DEG of each
     masses: np.ndarray
-    unsided: np.ndarray  # (K,) float64: the same without what faces the sides of the image
-    gain: float = 0.0  # log likelihood of all but the upright lines at the main mode
+    unsided: np.ndarray  # (K,) float64: the same without the evidence of the sides of the image
+    gain: float = 0.0  # log likelihood of everything except upright lines at the main mode
 
     def density(self, downs: np.ndarray, error_rad: float) -> np.ndarray:
         """Return the density (C,) at verticals (C, 3), 1/sr, blurred by an error."""
@@ -96,15 +96,15 @@ def _sum_of_bells(points, means, inverses, peaks):
 
 @dataclass(frozen=True)
 class Expected:
-    """What is known of the vertical before an image."""
+    """What is known about the vertical before an image."""
 
     # (3,) float64 or None: coarse direction of gravity; None: that of a camera held upright
     down: np.ndarray | None = None
     sigma_deg: float = 12.0  # its error; not used without a direction
     before: Modes | None = None  # known before the view began, in the frame of this camera
     kept: float = 0.0  # probability that these still hold
-    last: Modes | None = None  # of the image before, in the frame of this camera
-    # (2, 3) float64 or None: horizontal axes of the image before, in the frame of this camera
+    last: Modes | None = None  # of the previous image, in the frame of this camera
+    # (2, 3) float64 or None: horizontal axes of the previous image, in the frame of this camera
     pair: np.ndarray | None = None
     pair_rad: float = 0.0  # error of their azimuth
     # (3, 3) float64 or None: sum of r r^T of the rotation vectors r from view to view, rad^2, in
@@ -117,9 +117,9 @@ def prior_density(downs: np.ndarray, expected: Expected, log_mountings: Sequence
     """
     Return the prior density (2, N) of verticals (N, 3), 1/sr, blurred by an error.
 
-    The second one is without what faces the sides of the image: the log likelihoods of the five
-    mountings. The ``mounted`` (5, N) is their :func:`mounted_density`, if it is known. They are
-    never 0.
+    The second one omits the evidence of the sides of the image, the log likelihoods of the five
+    mountings. ``mounted`` (5, N) is their :func:`mounted_density`, if it is known. They are never
+    0.
     """
     if expected.down is not None:
         sigma_rad = np.radians(math.hypot(expected.sigma_deg, error_deg))
@@ -142,7 +142,7 @@ def prior_density(downs: np.ndarray, expected: Expected, log_mountings: Sequence
 
 
 def turned_about(downs: np.ndarray, turning: np.ndarray) -> np.ndarray:
-    """Return the likelihood (N,) of the turning (3, 3) of a camera with verticals (N, 3)."""
+    """Return the likelihood (N,) of the rotation (3, 3) of a camera with verticals (N, 3)."""
     about = np.einsum('ij,ij->i', downs @ turning, downs) + LITTLE_TURN_RAD**2 / 3
     return about / (np.trace(turning) + LITTLE_TURN_RAD**2)
 

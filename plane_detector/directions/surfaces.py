@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Normals of the surfaces of a depth image, and what they and its disparity say of the mounting.
+Normals of the surfaces of a depth image; evidence from them and its disparity on the mounting.
 
-Cameras see more of what faces upwards than of what faces downwards, and what is near at the bottom
-of the image; looking straight down they see one surface.
+Cameras see more surfaces that face upwards than downwards, and near surfaces are at the bottom of
+the image; a camera that looks straight down sees one surface.
 """
 
 from __future__ import annotations
@@ -26,17 +26,17 @@ from plane_detector.types import CameraIntrinsics
 # tuned: 56 real frames, 48 rooms and corridors (seeds 8200 to 8211), each in four mountings: from
 # (0.3, 1.5) and (0.5, 2) to (0.7, 2) 38 to 41 real frames are answered upright, 2 turned wrong.
 FLOOR_WEIGHT, CEILING_WEIGHT, FACING_DEG, LEAST_SHARE = 0.7, 2.0, 41.4, 0.02
-# By the disparity: upright cameras see what is near at the bottom. The trend is the difference
-# of the medians of the lowest and the highest quarter of the image over the spread (10 to 90 %) of
-# all. Its density upright is normal, or as from above anywhere between -1 and 1. measured: .3 to
-# 1 in 49 of 57 upright views of rooms, without bias in 20 from above.
+# By the disparity: upright cameras see near surfaces at the bottom. The trend is the difference of
+# the medians of the lowest and the highest quarter of the image over the spread (10 to 90 %) of
+# all. Its density upright is normal, or as from above anywhere between -1 and 1. measured: .3 to 1
+# in 49 of 57 upright views of rooms, without bias in 20 from above.
 UPRIGHT_TREND, TREND_SPREAD, ANY_TREND = 0.65, 0.25, 0.15
-# The surface tells, too: the share of its normals within this angle of straight ahead is half
-# normal upright, or as from above anywhere between 0 and 1. measured: median 0.03, nine of ten
-# below 0.5 in 80 upright views of rooms, one at 0.84; 0.73 to 1 in 24 of rooms from above, 0.11 to
-# 0.55 in 6 of tables with things on them. tuned: rooms, seeds 300 to 323 and 2007, flat from 0.3
-# to 0.4 and from 0.05 to 0.1; at 0.25 walls ahead are lost. A small share says nothing: cluttered
-# tables, streets between high buildings.
+# The surface is evidence too: the share of its normals within this angle of straight ahead has a
+# half-normal density upright, or, as seen from above, is anywhere between 0 and 1. measured:
+# median 0.03, nine of ten below 0.5 in 80 upright views of rooms, one at 0.84; 0.73 to 1 in 24 of
+# rooms from above, 0.11 to 0.55 in 6 of tables with things on them. tuned: rooms, seeds 300 to 323
+# and 2007, flat from 0.3 to 0.4 and from 0.05 to 0.1; at 0.25 walls ahead are lost. A small share
+# proves nothing: cluttered tables, streets between high buildings.
 AHEAD_DEG, AHEAD_SPREAD, ANY_AHEAD = 20.0, 0.35, 0.1
 # With an unknown shift it is the share of the largest surface, as pieces of one plane are parallel
 # at any shift; looked at is the one that makes the far tenth of the disparities this share of the
@@ -47,18 +47,19 @@ USUAL_RATIO, LARGEST, LARGEST_SPREAD = 0.43, 0.45, 0.13
 # chosen: a cell of 16 pixels in an image of 640, about a cell of the segmentation, half of it
 # valid.
 CELLS_PER_ROW, LEAST_VALID = 40, 0.5
-# Normals within this angle of that of most others are one surface, which has one vote, if it has
-# this share of them; about this many are examined. tuned: with a vote for each normal 41 of 56
-# answers in attics are wrong, as the slopes of a roof are larger than floor and gable, here 8 of
-# 50; at 12 and 18 degrees, and with a share of 0.03 or 0.06, fewer parts of images are answered.
+# Normals within this angle of a normal with many neighbours are one surface, which has one vote if
+# it has this share of them; about this many are examined. tuned: with a vote for each normal 41 of
+# 56 answers in attics are wrong, as the slopes of a roof are larger than floor and gable, here 8
+# of 50; at 12 and 18 degrees, and with a share of 0.03 or 0.06, fewer parts of images are
+# answered.
 SAME_SURFACE_DEG, LEAST_SURFACE, SURFACE_NORMALS = 15.0, 0.05, 200
 
 
 @dataclass(frozen=True)
 class Sides:
-    """How much of what is seen faces each side of the image, of one view or of several."""
+    """Shares of visible surfaces that face each side of the image, in one view or several."""
 
-    shares: np.ndarray  # (4,) float64: of the normals, towards bottom, right, top and left
+    shares: np.ndarray  # (4,) float64: of the normals, toward bottom, right, top and left
     log_odds_down: float
     views: int = 1
 
@@ -82,7 +83,7 @@ class Sides:
 def log_odds_down(disparity: np.ndarray, surface: np.ndarray,
                   has_shift: bool = False) -> float:
     """
-    Return the log odds, by depth, of a camera that looks straight down.
+    Return the log odds, from depth, that a camera looks straight down.
 
     Parameters
     ----------
@@ -110,7 +111,7 @@ def log_odds_down(disparity: np.ndarray, surface: np.ndarray,
 
 def sides_of(surface: np.ndarray, odds_down: float = 0.0) -> Sides:
     """
-    Return how much of a surface faces each side of the image.
+    Return the share of a surface that faces each side of the image.
 
     Parameters
     ----------

@@ -1,17 +1,18 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-The posterior of the vertical from view to view, turned with the camera.
+The posterior of the vertical from view to view, rotated with the camera.
 
-1. The rotation of the camera from the first image of a view is that of the lines of both, and
-   where these do not match that from the image before, by its lines or by its corner points.
-2. All images of a view have the same evidence. So each is judged by what was known before its view
-   began: the same image again, with other noise or without, proves nothing.
+1. The rotation of the camera from the first image of a view is estimated from the lines of both
+   images, or, where these do not match, from the previous image by lines or corner points.
+2. All images of a view have the same evidence. So the prior of each is what was known before its
+   view began: showing the same image again, with different noise or without, proves nothing.
 3. A view ends when the camera has turned. The modes of its last image, blurred by the error of the
-   rotation, are what is known before the next one. If the camera has come back to a view before,
-   what was known before that return is: swinging between two views proves nothing either.
-4. Which side of the image is below is judged by all views together, as one observation: what
-   misleads in one image of a room misleads in all. So is the axis about which the camera turns.
+   rotation, are the prior of the next view. If the camera returns to an earlier view, what was
+   known before that view remains the prior: swinging between two views proves nothing either.
+4. Which side of the image is down is decided from all views together, as one observation: what
+   misleads in one image of a room misleads in all. The same holds for the axis about which the
+   camera turns.
 5. After a cut, or where nothing matches, nothing is known.
 """
 
@@ -59,7 +60,7 @@ CLOSE_RAD = np.radians(2.5)
 REMEMBERED = 0.9
 # The last views, to which a camera may come back. chosen: what they showed is half forgotten.
 MOST_VIEWS = 6
-# The azimuth is no longer known after a turn with a larger error. chosen: that of its axes.
+# The azimuth is no longer known after a rotation with a larger error. chosen: that of its axes.
 LARGEST_PAIR_ERROR_RAD = np.radians(5.0)
 
 
@@ -92,7 +93,7 @@ class View:
     rotation: np.ndarray  # (3, 3) float64: from the camera of that image to this one
     modes: Modes | None = None  # known before it, in the frame of its first image
     sides: Sides | None = None  # seen before it
-    rolled_rad: float = 0.0  # about the optical axis, since these sides are
+    rolled_rad: float = 0.0  # about the optical axis, since these sides were observed
     # (3, 3) float64: of the views before, as ``Expected.turning``, in the frame of its first image
     turning: np.ndarray = field(default_factory=lambda: np.zeros((3, 3)))
     # (N, 3, 3) float64: from the first images of the views before to that of this one
@@ -117,21 +118,21 @@ class Step:
 
 
 def first_view(segments: LineSegments) -> View:
-    """Return the view of an image of which nothing is known before."""
+    """Return the view of an image before which nothing is known."""
     return View(segments, np.eye(3))
 
 
 def carried(expected: Expected, last: Step, segments: LineSegments,
             points: ImagePoints | None) -> tuple[Expected, View]:
     """
-    Return what is expected of an image after another one, and its view.
+    Return the expectation for an image after another one, and its view.
 
     Parameters
     ----------
     expected : Expected
-        Without the images before.
+        Without the previous images.
     last : Step
-        The image before.
+        The previous image.
     segments : LineSegments
     points : ImagePoints, optional
 
@@ -146,7 +147,7 @@ def carried(expected: Expected, last: Step, segments: LineSegments,
             return expected, first_view(segments)
         rotation = cv2.Rodrigues(step)[0] @ view.rotation
         turn = cv2.Rodrigues(rotation)[0][:, 0]
-    # Of a camera that stands, what is measured is noise.
+    # For a stationary camera, the measured rotation is noise.
     square = float(turn @ turn)
     turn = turn * (square / (square + STILL_RAD**2))
     view = replace(view, rotation=cv2.Rodrigues(turn)[0])

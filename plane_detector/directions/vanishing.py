@@ -5,13 +5,13 @@ Directions of a calibrated image: the vertical and pairs of horizontal axes.
 
 1. The main mode of the posterior is fitted to its segments; the probability is that of the
    verticals near this answer, less that of a roof.
-2. Its level lines may be those of a floor that rises: the upright lines alone decide.
-3. Its upright lines may be those of a thing that leans, a ladder or a fence: all else decides.
-   What remains is the probability of the vertical.
+2. Its level lines may be those of an inclined floor: then only the upright lines decide.
+3. Its upright lines may be those of a leaning object, such as a ladder or a fence: then everything
+   else decides. What remains is the probability of the vertical.
 4. The azimuth of horizontal axes about it has a posterior of the same kind. Further pairs (an
-   Atlanta world, Schindler and Dellaert 2004) have that of the segments that no direction before
-   explains, or these are strays.
-5. Vertical and first pair are fitted once more, and averaged with those of the images before.
+   Atlanta world, Schindler and Dellaert 2004) come from the segments that no previous direction
+   explains, unless these are outliers.
+5. Vertical and first pair are fitted once more, and averaged with those of the previous images.
 """
 
 from __future__ import annotations
@@ -35,23 +35,23 @@ from plane_detector.geometry.rigid_transform import cross, unit
 
 # An answer is given if it is right with this probability.
 MIN_PROBABILITY = 0.9
-# Share of the images whose level lines are those of a floor that rises, by up to these angles, and
-# the angle up to which it does not. tuned: rooms whose floor rises by 8 degrees, seeds 300 to 311:
-# at 0.05 three of 11 answers are wrong, at 0.1 one of 10.
+# Share of the images whose level lines are those of an inclined floor, by up to these angles, and
+# the angle up to which a floor counts as level. tuned: rooms whose floor rises by 8 degrees, seeds
+# 300 to 311: at 0.05 three of 11 answers are wrong, at 0.1 one of 10.
 RISING, RISES_DEG, LEVEL_DEG = 0.1, np.arange(-14.0, 15.0, 2.0), 3.0
-# Share of the images under a roof, of whose axes one is the ridge and two are the slopes, and the
-# angles of slopes. tuned: attics with exact depth, seeds 300 to 323, whose ridge is else taken for
-# the vertical of a camera that looks down between two walls: all 5 wrong answers are refused, one
-# just so. Of 56 real frames 38 are answered, 41 without, 36 at 0.025.
+# Share of the images under a roof, with the ridge and the two slopes as axes, and the angles of
+# slopes. tuned: attics with exact depth, seeds 300 to 323, whose ridge is else taken for the
+# vertical of a camera that looks down between two walls: all 5 wrong answers are refused, one just
+# so. Of 56 real frames 38 are answered, 41 without, 36 at 0.025.
 ROOF, ROOF_DEG = 0.02, np.arange(30.0, 61.0, 7.5)
-# Share of the images whose upright lines are those of a thing that leans. derived: above what the
+# Share of the images whose upright lines are those of a leaning object. derived: above what the
 # probability of an answer leaves, so that upright lines alone are not enough; with other lines
 # flat from 0.05 to 0.3.
 LEANING = 0.15
-# Modes within this angle of another axis of the answer are that axis, taken for the vertical.
+# Modes within this angle of another axis of the answer are that axis, mistaken for the vertical.
 # derived: two steps of the coarse grid.
 SAME_AXIS_DEG = 15.0
-# Odds that the azimuth of the image before is that of this one.
+# Odds that the azimuth of the previous image is that of this one.
 HELD_AXES_ODDS = 100.0
 # Azimuths within this angle are the same before the fit. tuned: at 5 degrees axes of 2 of 5 Kinect
 # frames are given, at 9 of 3; none is wrong.
@@ -85,7 +85,7 @@ class SceneDirections:
     pair_refusal: str = ''  # why there are no horizontal axes; empty if there are
     probability: float = 1.0  # that the direction of gravity is right within 5 degrees
     modes: Modes | None = None  # of the posterior, for the next image
-    # (3,) float64 or None: without a direction of gravity, an axis of the scene that is sure
+    # (3,) float64 or None: without a direction of gravity, an axis of the scene that is certain
     # although it may be vertical or horizontal, and the probability of this axis
     open_axis: np.ndarray | None = None
     open_probability: float = 0.0
@@ -134,8 +134,8 @@ def find_directions(segments: LineSegments, evidence: Evidence | None = None,
         unsided=np.concatenate([share * modes.unsided[:1], modes.unsided[1:]]), gain=gain)
     probability = float(modes.masses[0])
     if probability < MIN_PROBABILITY:
-        # Planes can be oriented by axes of which it is open which is the vertical: about the
-        # surest.
+        # Planes can be oriented by axes even if it is undecided which is the vertical: about the
+        # most certain one.
         along = [posterior.along(axis) for axis in axes]
         open_probability, surest = float(share) * max(along), int(np.argmax(along))
         reason = (f'{len(segments)} straight lines and the depth leave the vertical open: the '
@@ -152,7 +152,7 @@ def find_directions(segments: LineSegments, evidence: Evidence | None = None,
     across = np.eye(3) - np.outer(down, down)
     refusal = ('no horizontal axes are perpendicular to the upright lines' if rises else
                'the lines and the depth leave the azimuth of the horizontal axes open')
-    # A wrong focal length tilts a direction towards or away from the optical axis.
+    # A wrong focal length tilts a direction toward or away from the optical axis.
     tilt = across[:, 2:] * evidence.focal_error * down[2]
     covariance = (across @ covariance @ across + np.radians(SYSTEMATIC_DEG) ** 2 * across
                   + tilt @ tilt.T)
@@ -196,7 +196,7 @@ def _fitted(segments: LineSegments, axes: np.ndarray, used: tuple[int, ...]) -> 
 
 
 def _if_it_rises(axes: np.ndarray, evidence: Evidence) -> tuple[float, np.ndarray, bool]:
-    """Return a probability, the axes that have it, and whether they are not those given."""
+    """Return a probability, the axes that have it, and whether they differ from those given."""
     rises = np.radians(RISES_DEG)[:, None]
     cosine, sine = np.cos(rises), np.sin(rises)
     turned = np.concatenate([
@@ -206,7 +206,7 @@ def _if_it_rises(axes: np.ndarray, evidence: Evidence) -> tuple[float, np.ndarra
     downs = turned[:, 0]
     bases = np.concatenate([downs[:, None], np.broadcast_to(axes[1:], (len(downs), 2, 3))], axis=1)
     upright = _log_likelihood(bases, replace(evidence, normals=evidence.normals[:0]))[0]
-    # The normals decide, too: those of a floor that rises are along no axis then.
+    # The normals decide too: those of an inclined floor are along no axis then.
     upright += _log_likelihood(turned, replace(evidence, lines=evidence.lines[:0]))[1]
     mass = np.exp(upright - upright.max())
     is_level = downs @ axes[0] > np.cos(np.radians(LEVEL_DEG))
@@ -228,7 +228,7 @@ def _log_likelihood(frames: np.ndarray, evidence: Evidence) -> tuple[np.ndarray,
 
 def _gain(segments: LineSegments, axes: np.ndarray, evidence: Evidence,
           expected: Expected) -> float:
-    """Return the log likelihood of all but the upright lines, of this image and those before."""
+    """Return the log likelihood of everything except upright lines, in this image and before."""
     others = replace(evidence, lines=evidence.lines[_is_off(segments, axes[:1])])
     gain = _log_likelihood(axes[None], others)[1].item()
     before = expected.before
@@ -253,12 +253,12 @@ def _pairs(segments: LineSegments, evidence: Evidence, down: np.ndarray,
     left = _is_off(segments, down[None])
     pairs, used = NO_PAIRS, evidence
     if not left.any() and expected.pair is None:
-        return pairs  # axes of normals alone would turn planes to what their own depth says
+        return pairs  # axes from normals alone would rotate planes to what their own depth says
     while len(pairs) < MAX_PAIRS:
         used = replace(used, lines=evidence.lines[left])
         score = log_likelihood(basis[None], angle[None], used, np.radians(FINE_ERROR_DEG))[1][0]
         mass, none = np.exp(score - score.max()), 0.0
-        if len(pairs):  # or all other lines are strays
+        if len(pairs):  # or all other lines are outliers
             none = len(angle) * np.exp(-used.lines[:, 7].sum() * np.log(STRAY_LINES) - score.max())
         elif expected.pair is not None:
             off_rad = np.arccos(np.clip(np.abs(axes[:, 0] @ expected.pair.T).max(1), 0, 1))
@@ -278,7 +278,7 @@ def _pairs(segments: LineSegments, evidence: Evidence, down: np.ndarray,
 
 def _averaged(fit: FrameFit, mode: np.ndarray,
               expected: Expected) -> tuple[np.ndarray, np.ndarray]:
-    """Return the vertical of a fit and its covariance, averaged with that of the images before."""
+    """Return the vertical of a fit and its covariance, averaged with previous images."""
     down = fit.axes[0]
     turn = cross(np.eye(3), down)
     covariance = mode
