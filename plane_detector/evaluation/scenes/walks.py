@@ -31,7 +31,7 @@ class Walk:
 
     surfaces: tuple[Rectangle, ...]  # that stay
     poses: tuple[RigidTransform, ...]  # from the camera to the world, z up
-    gone: tuple[Rectangle, ...] = ()  # there in the first half only
+    gone: tuple[Rectangle, ...] = ()  # present only in the first half
     people: tuple[tuple[Rectangle, ...], ...] = ()  # of each image; empty: none
 
     def scene(self, index: int, intrinsics: CameraIntrinsics, rng: np.random.Generator) -> Scene:
@@ -47,7 +47,7 @@ class Walk:
 
 
 def walk(name: str, rng: np.random.Generator, images: int) -> Walk:
-    """Return one of :data:`ROOMS` with a way of the camera through it."""
+    """Return one of :data:`ROOMS` with a path of the camera through it."""
     return ROOMS[name](rng, images)
 
 
@@ -140,7 +140,7 @@ def _panel(rng: np.random.Generator, images: int) -> Walk:
 
 
 def _crate(rng: np.random.Generator, images: int) -> Walk:
-    """A crate that is there in the first half, which sees all of the room, as the second does."""
+    """A crate that is present in the first half; both halves see the whole room."""
     size = rng.uniform([3.6, 4.0, 2.4], [4.4, 5.0, 2.7])
     crate = box([rng.choice([-1, 1]) * 0.33 * size[0], 0.2, 0.3], [0.6, 0.6, 0.6],
                 rng.uniform(0, 40))
@@ -176,7 +176,7 @@ HARD = ('doorway', 'books', 'steps', 'panel', 'crate')
 def with_errors(poses: Sequence[RigidTransform], kind: str, rng: np.random.Generator
                 ) -> list[RigidTransform]:
     """
-    Return poses as odometry gives them, in a frame of its own.
+    Return poses as from odometry, in its own frame.
 
     ``exact``; ``drift``: 10 cm and 2 degrees over the walk; ``jitter``: 1 cm and .3 degrees, new
     in each image; ``jump 10`` and ``jump 30``: so many cm at the half.
