@@ -74,13 +74,13 @@ class View:
 
     def by_image(self) -> ScaleEstimate:
         """Return the scale from gravity and horizontal axes of the lines of the image."""
-        around = DirectionFinder().find(
+        surroundings = DirectionFinder().find(
             CameraImage(self.rgb, self.intrinsics, None, self.disparity, has_shift=True), None,
             Config(), for_planes=True)
         return self.estimate(
-            ScaleConfig(), gravity_camera=around.gravity.gravity_camera,
-            down_tolerance_deg=around.gravity.tolerance_deg, level_axes=around.level_axes,
-            open_axes=around.open_axes)
+            ScaleConfig(), gravity_camera=surroundings.gravity.gravity_camera,
+            down_tolerance_deg=surroundings.gravity.tolerance_deg,
+            level_axes=surroundings.level_axes, open_axes=surroundings.open_axes)
 
 
 @dataclass(frozen=True)
