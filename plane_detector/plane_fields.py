@@ -129,7 +129,7 @@ class Columns:
     def __len__(self) -> int:
         return len(getattr(self, next(iter(columns_of(type(self))))))
 
-    def picked(self: Table, index: slice | np.ndarray | Sequence[int]) -> Table:
+    def selected(self: Table, index: slice | np.ndarray | Sequence[int]) -> Table:
         """
         Return some of the rows, by a slice, by a mask (K,) bool or by their indices.
 

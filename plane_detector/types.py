@@ -272,7 +272,7 @@ class Planes(PlaneColumns, Sequence[Plane]):
 
     def __getitem__(self, index):
         if isinstance(index, slice) or np.ndim(index):
-            return self.picked(index)
+            return self.selected(index)
         return Plane(*self.row(operator.index(index)))
 
     @cached_property

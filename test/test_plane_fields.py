@@ -61,7 +61,7 @@ class View:
                        down=turn @ self.down, floor_height=scale * self.floor_height,
                        unit=scale * self.unit)
 
-    def picked(self, index):
+    def selected(self, index):
         def some(values):
             return [values[k] for k in np.arange(len(self.planes))[index]]
         return replace(self, planes=self.planes[index], points=some(self.points),
@@ -120,8 +120,8 @@ def frames():
     return {'camera': lambda view: view, 'moved': lambda view: view.moved(turn, shift, 1.0),
             'scaled': lambda view: view.moved(np.eye(3), np.zeros(3), 2.5),
             'moved and scaled': lambda view: view.moved(turn, shift, 0.4),
-            'sliced': lambda view: view.picked(slice(None, None, -2)),
-            'picked and moved': lambda view: view.picked([1, 0]).moved(turn, shift, 0.4)}
+            'sliced': lambda view: view.selected(slice(None, None, -2)),
+            'selected and moved': lambda view: view.selected([1, 0]).moved(turn, shift, 0.4)}
 
 
 FRAMES = frames()

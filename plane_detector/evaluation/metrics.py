@@ -17,7 +17,7 @@ import numpy as np
 MIN_PIXELS = 1500
 """Smaller true planes are not counted as missed."""
 PURE = 0.8
-"""A plane with more than this share of its pixels on one true plane is judged by that one."""
+"""A plane with more than this share of its pixels on one true plane is compared with that one."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ def angle_deg(first: np.ndarray, second: np.ndarray) -> np.ndarray:
 
 def pure_errors(shared: Overlap, true_planes: np.ndarray,
                 planes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the angles of the planes (J, 4) that are PURE to the true ones, and their pixels."""
+    """Return the angles between PURE planes (J, 4) and the true ones, and their pixels."""
     on_plane, pixels = shared.counts[:-1, :-1], shared.counts[:, :-1].sum(axis=0)
     error_deg = angle_deg(true_planes[on_plane.argmax(axis=0), :3], planes[:, :3])
     is_pure = on_plane.max(axis=0) > PURE * pixels
@@ -102,7 +102,7 @@ def score(true_labels: np.ndarray, true_planes: np.ndarray, labels: np.ndarray,
 def _distances_of_matches(shared: Overlap, true_labels: np.ndarray, true_depth_m: np.ndarray,
                           labels: np.ndarray, depth_m: np.ndarray,
                           mask: np.ndarray) -> np.ndarray:
-    """Return the mean depth difference (I, J) over what two planes share; inf below IoU 0.5."""
+    """Return the mean depth difference (I, J) over shared pixels; inf below IoU 0.5."""
     off_m = np.full(shared.iou.shape, np.inf)
     for i, j in zip(*np.nonzero(shared.iou > 0.5), strict=True):
         both = mask & (true_labels == i) & (labels == j)

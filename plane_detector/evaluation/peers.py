@@ -3,7 +3,7 @@
 """
 Plane segmentation methods, ours and others, with a common interface.
 
-The others are optional: `Method.absent` states why one is not available.
+The other methods are optional: `Method.absent` states why one is not available.
 """
 
 from __future__ import annotations

@@ -28,7 +28,7 @@ _MAX_SAMPLES, _HYPOTHESES, _REFITS = 1500, 300, 3
 
 @dataclass(frozen=True)
 class JudgedPlane:
-    """Errors of one plane against the best plane through the sensor's points in its pixels."""
+    """Errors of one plane relative to the best plane through the sensor's points in its pixels."""
 
     purity: float  # share of its pixels close to the best plane; 1 if they really are one plane
     normal_error_deg: float

@@ -5,8 +5,8 @@ The moving picture of the README: a rendered drive to the edge of a loading dock
 
     python -m plane_detector.evaluation.robot_view docs/figures/robot_view.webp
 
-Each image passes the whole pipeline with the noise of a stereo camera; what is drawn is what the
-node would publish: ground, obstacles, drops and the labels of the planes.
+Each image passes through the whole pipeline with the noise of a stereo camera. The drawing shows
+what the node would publish: ground, obstacles, drops and plane labels.
 """
 
 from __future__ import annotations
@@ -111,7 +111,7 @@ def drawn(rgb: np.ndarray, found: Detection) -> np.ndarray:
 
 
 def framed(rgb: np.ndarray, found: Detection) -> np.ndarray:
-    """Return image and drawing side by side, above what the colours mean."""
+    """Return image and drawing side by side, above a legend of the colours."""
     panels = drawing.figure([('camera', rgb), ('plane_detector', drawn(rgb, found))])
     bar = np.full((30, panels.shape[1], 3), 255, np.uint8)
     left = rgb.shape[1] + 14

@@ -45,7 +45,7 @@ class Pairs:
     def __len__(self) -> int:
         return len(self.old)
 
-    def picked(self, index: np.ndarray) -> Pairs:
+    def selected(self, index: np.ndarray) -> Pairs:
         """Return some pairs."""
         return Pairs(self.old[index], self.new[index], self.squared[index], self.shared[index],
                      self.overlap[index])
@@ -106,25 +106,25 @@ def compare(frames: PlaneFrames, found: Planes, counts: np.ndarray, sizes: np.nd
 
     """
     old, new = np.nonzero(frames.axes[:, 2] @ found.normals.T > SAME_SIDE)
-    picked = frames.picked(old)
-    heights, covariances, _ = heights_of(picked, found, new, error, camera_m)
+    selected = frames.selected(old)
+    heights, covariances, _ = heights_of(selected, found, new, error, camera_m)
     both, in_view = counts[old, new], counts[old, -1]
     smaller = np.minimum(in_view, sizes[new])
-    return Pairs(old, new, squared_misfits(picked, heights, covariances),
+    return Pairs(old, new, squared_misfits(selected, heights, covariances),
                  both / np.maximum(smaller, 1), both / np.maximum(in_view + sizes[new] - both, 1))
 
 
 def fitting(pairs: Pairs, planes: Sequence[MapPlane], points_m: Sequence[np.ndarray],
             up: np.ndarray) -> Pairs:
     """Return the pairs within the gate that overlap or are within reach."""
-    pairs = pairs.picked(pairs.squared < GATE)
+    pairs = pairs.selected(pairs.squared < GATE)
     joined = pairs.shared > 0
     for k in np.flatnonzero(~joined):
         plane = planes[pairs.old[k]]
         reach_m = reach_of(plane, up)
         joined[k] = are_near(plane.flat(points_m[pairs.new[k]]), plane.cells,
                              reach_m) > _MIN_NEAR
-    return pairs.picked(joined)
+    return pairs.selected(joined)
 
 
 def reach_of(plane: MapPlane, up: np.ndarray) -> float:
@@ -142,7 +142,7 @@ def apart_in_image(found: Planes) -> tuple[np.ndarray, np.ndarray]:
     own = PlaneFrames(feet, new_axes(found.normals, np.eye(3)[2]), np.zeros((len(found), 3)),
                       np.zeros((len(found), 3, 3)))
     heights, covariances, _ = heights_of(own, found, np.arange(len(found)))
-    own = replace(own, coefficients=heights, covariances=covariances).picked(first)
+    own = replace(own, coefficients=heights, covariances=covariances).selected(first)
     heights, covariances, _ = heights_of(own, found, second)
     apart = ~same_side
     apart[first, second] = squared_misfits(own, heights, covariances) >= GATE

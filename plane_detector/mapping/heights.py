@@ -34,7 +34,7 @@ class PlaneFrames:
     def __len__(self) -> int:
         return len(self.origins_m)
 
-    def picked(self, index: np.ndarray | Sequence[int]) -> PlaneFrames:
+    def selected(self, index: np.ndarray | Sequence[int]) -> PlaneFrames:
         """Return some of them, in the order of the index."""
         return PlaneFrames(self.origins_m[index], self.axes[index], self.coefficients[index],
                            self.covariances[index])

@@ -45,8 +45,8 @@ def merge_touched(planes: Sequence[MapPlane], touched: np.ndarray, up: np.ndarra
     pairs = np.stack([own[touched_k], others_k])
     # Most pairs differ; the rest are compared one by one, because each merge changes the next.
     larger, smaller = np.take_along_axis(pairs, np.argsort(-found.counts[pairs], axis=0), axis=0)
-    heights, covariances, _ = heights_of(frames.picked(larger), found, smaller)
-    alike = squared_misfits(frames.picked(larger), heights, covariances) < GATE
+    heights, covariances, _ = heights_of(frames.selected(larger), found, smaller)
+    alike = squared_misfits(frames.selected(larger), heights, covariances) < GATE
     for label, other in labels[pairs.T[alike]].tolist():
         if label not in known or other not in known:
             continue

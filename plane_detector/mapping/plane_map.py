@@ -184,23 +184,23 @@ class PlaneMap:
         return MapUpdate(labels, attempt.explained, jump_m, subsumed, is_full)
 
     @property
-    def sure(self) -> tuple[MapPlane, ...]:
+    def confirmed(self) -> tuple[MapPlane, ...]:
         """The planes that were detected again."""
         return tuple(plane for plane in self.planes if plane.views > 1 or self.images < 2)
 
     def snapshot(self) -> MapSnapshot:
         """Return the confirmed planes, according to the last pose."""
-        sure = self.sure
+        confirmed = self.confirmed
         # The error of the correction is common to all planes that the last image does not show.
         planes = as_planes([replace(plane, covariance=self._relative.get(
-            plane.label, plane.covariance)) for plane in sure])
+            plane.label, plane.covariance)) for plane in confirmed])
         camera_m = self.correction.camera.translation_m if self.correction.pose else np.zeros(3)
         others = with_pose_error(planes, self.correction.error, camera_m)
         is_shown = np.isin(planes.labels, list(self._relative))
         planes = replace(planes, covariances=np.where(
             is_shown[:, None, None], planes.covariances, others.covariances))
         to_poses = self.correction.transform.inverse()
-        return MapSnapshot(sure, planes.moved(to_poses), to_poses)
+        return MapSnapshot(confirmed, planes.moved(to_poses), to_poses)
 
     def save(self, path: Path, frame_id: str, stamp_s: float) -> None:
         """
@@ -261,7 +261,7 @@ class PlaneMap:
             camera = correction.camera
             view = image.view(camera)
             index, counts = visible(self.planes, all_frames, view)
-            frames = all_frames.picked(index)
+            frames = all_frames.selected(index)
             sizes = image.found.areas_m2 / (2 * self.config.cell)**2
             sharp = image.sharp.moved(camera)
             pairs = compare(frames, sharp, counts, sizes, correction.error, camera.translation_m)
@@ -271,8 +271,9 @@ class PlaneMap:
             taken = assign(fit, image.apart, len(sizes))
             if not is_last:
                 evidence, shown = np.append(index, -1)[taken], np.flatnonzero(taken >= 0)
-                correction = register(prediction, image.sharp, frames.picked(taken[shown]), shown)
-        beside = pairs.picked((pairs.shared > _SAME_PLACE) & (taken[pairs.new] < 0))
+                correction = register(prediction, image.sharp, frames.selected(taken[shown]),
+                                      shown)
+        beside = pairs.selected((pairs.shared > _SAME_PLACE) & (taken[pairs.new] < 0))
         total = max(image.found.counts.sum(), 1)
         found = sharp if image.found is image.sharp else image.found.moved(camera)
         return _Attempt(
@@ -306,9 +307,9 @@ class PlaneMap:
         """
         shown = np.flatnonzero(attempt.taken >= 0)
         old, place = np.unique(attempt.taken[shown], return_inverse=True)
-        frames = attempt.frames.picked(old)
+        frames = attempt.frames.selected(old)
         heights, covariances, by_pose = heights_by_others(
-            attempt.correction, frames.picked(place), attempt.found, shown,
+            attempt.correction, frames.selected(place), attempt.found, shown,
             (attempt.taken == attempt.evidence)[shown])
         known = FORGETTING**weight * np.linalg.inv(frames.covariances)
         added = weight * image.news[shown, None, None] * np.linalg.inv(covariances)

@@ -172,12 +172,12 @@ class LiveMap:
         if not off_m or min(off_m) > CLICK_REACH_M:
             raise ValueError('there is no plane, nor is there one in the map')
         index = int(np.argmin(off_m))
-        return snapshot.planes.picked([index]), snapshot.surfaces[index]
+        return snapshot.planes.selected([index]), snapshot.surfaces[index]
 
     def clear(self) -> str:
         """Discard the map; return what was done."""
         with self._lock:
-            count = len(self._map.sure)
+            count = len(self._map.confirmed)
             self._map.clear()
             self._begin()
         return f'{count} planes were removed'
@@ -190,7 +190,7 @@ class LiveMap:
         """
         with self._lock:
             self._map.save(path, self._frame_id, self._stamp_s)
-            return f'{len(self._map.sure)} planes are in {path.absolute()}'
+            return f'{len(self._map.confirmed)} planes are in {path.absolute()}'
 
     def load(self, path: Path) -> str:
         """Replace the map by that of a file; it is unchanged after an OSError or ValueError."""
@@ -201,7 +201,7 @@ class LiveMap:
             make_map_messages(MapView(self._header, loaded.snapshot()))
             self._map = loaded
             self._begin()
-            return f'{len(self._map.sure)} planes from {path.absolute()}'
+            return f'{len(self._map.confirmed)} planes from {path.absolute()}'
 
     def take_events(self) -> list[str]:
         """Return what has happened since the last call: jumps of the poses."""
@@ -212,7 +212,7 @@ class LiveMap:
     def facts(self) -> dict[str, str]:
         """Return what the diagnostics report about the map."""
         with self._lock:
-            facts = {'map_planes': str(len(self._map.sure)),
+            facts = {'map_planes': str(len(self._map.confirmed)),
                      'map_images_without_pose': str(self._without_pose)}
             if self._update is not None:
                 moved_m, turned_deg = self._map.correction.size()

@@ -78,7 +78,7 @@ class PointQuery:
             plane, kept = self._map.plane_at(result.placed(point_m))
             return plane, (f'plane {kept.label} of the map, {kept.plane_class.readable}, area '
                            f'{kept.cells.area_m2:.2f}, seen in {kept.views} images')
-        return result.planes.picked([index]), describe_plane(result, index)
+        return result.planes.selected([index]), describe_plane(result, index)
 
     def refuse_all(self) -> None:
         """Refuse the waiting clicks; called in the thread of the executor."""

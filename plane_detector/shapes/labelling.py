@@ -103,7 +103,7 @@ def without_planes(found: PlaneSegmentation, gone: np.ndarray) -> PlaneSegmentat
     if not gone.any():
         return found
     number = np.append(np.where(gone, -1, np.cumsum(~gone) - 1), -1).astype(found.labels.dtype)
-    planes = found.planes.picked(~gone)
+    planes = found.planes.selected(~gone)
     return replace(found, labels=number[found.labels], planes=replace(
         planes, labels=np.arange(1, len(planes) + 1)))
 

@@ -127,7 +127,7 @@ def update_tracks(known: KnownPlanes, found: PlaneSegmentation, config: Tracking
         return KnownPlanes(after, pixels, sizes, streaks, np.zeros_like(sizes)), after
     parts = split_by(known.pixels, known.sizes)
     return KnownPlanes(
-        after.concatenated(moved.picked(gone)),
+        after.concatenated(moved.selected(gone)),
         np.concatenate([pixels, *(parts[k] for k in gone)]),
         np.concatenate([sizes, known.sizes[gone]]), np.concatenate([streaks, known.streaks[gone]]),
         np.concatenate([np.zeros_like(sizes), known.missed[gone] + 1])), after

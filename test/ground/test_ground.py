@@ -163,7 +163,7 @@ def ground_by_pixels(terrain):
     scene = terrain.scene
     found = detect(terrain, scene.depth_m)
     own = found.labels[-1, 320]
-    planes = PlaneSegmentation(found.planes.picked([own]),
+    planes = PlaneSegmentation(found.planes.selected([own]),
                                np.where(found.labels == own, 0, -1), 0.0)
     return find_ground(planes, scene.depth_m, scene.intrinsics,
                        Gravity(scene.gravity_camera, 1.0, 'measured'), MEASURED).result.mask
@@ -324,7 +324,7 @@ def test_a_drop_within_the_error_of_depth_is_none():
     floor = own.labels[-1, 320]
     counts = []
     for noise in (0.0, 0.008):
-        planes = PlaneSegmentation(own.planes.picked([floor]),
+        planes = PlaneSegmentation(own.planes.selected([floor]),
                                    np.where(own.labels == floor, 0, -1), noise)
         ground = find_ground(planes, scene.depth_m, scene.intrinsics,
                              Gravity(scene.gravity_camera, 1.0, 'measured'), MEASURED)

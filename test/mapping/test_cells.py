@@ -129,7 +129,7 @@ def test_who_walked_by_is_gone_when_most_is_looked_through():
 
 def test_extents_of_points_over_the_frames_of_their_planes():
     points_m = np.array([[0.0, 0.0, 2.0], [1.0, -2.0, 2.0], [5.0, 5.0, 2.0]])
-    frames = WALL.picked([0, 0])
+    frames = WALL.selected([0, 0])
     lows_m, highs_m = extents(points_m, np.array([0, 2, 3]), np.array([1, -1]), frames)
     assert lows_m.tolist() == [[np.inf, np.inf], [0.0, 0.0]]
     assert highs_m.tolist() == [[-np.inf, -np.inf], [1.0, 2.0]]

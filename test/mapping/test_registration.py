@@ -109,7 +109,7 @@ def test_a_plane_is_no_evidence_of_itself():
     planes, frames = corner()
     prediction = predict(standing(), RigidTransform.identity(), MapConfig())
     for index in (np.arange(1), np.arange(3)):
-        few = frames.picked(index)
+        few = frames.selected(index)
         found = register(prediction, planes.moved(SHIFT), few, index)
         seen = planes.moved(found.camera.after(SHIFT))
         heights, covariances, by_pose = heights_by_others(found, few, seen, index,

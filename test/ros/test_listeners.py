@@ -236,5 +236,5 @@ def test_cpp_prints_the_planes(tmp_path):
 def empty():
     """Return a detection without planes."""
     found = scene.detection()
-    return scene.detection(planes=found.planes.picked([]), shapes=(),
+    return scene.detection(planes=found.planes.selected([]), shapes=(),
                            labels=np.full_like(found.labels, -1))

@@ -21,7 +21,7 @@ from plane_detector._runtime.compilation import compile_kernels, kernel
 from sample.stage.columns import COLUMN
 from sample.stage.parts import part
 @kernel('f8(f8[:])')
-def picked(row):
+def selected(row):
     return part(row[COLUMN])
 @kernel('f8(f8)', subject='later')
 def halved(value):
@@ -40,7 +40,7 @@ from plane_detector._runtime import compilation
 from plane_detector._runtime.compilation import compile_kernels
 import numpy as np, sample.stage.loops
 compile_kernels(['stage'], print)
-print(sample.stage.loops.picked(np.array([10.0, 20.0])))
+print(sample.stage.loops.selected(np.array([10.0, 20.0])))
 """
 
 
@@ -80,7 +80,7 @@ def test_changes_in_other_files_are_compiled_and_code_not_used_for_a_month_is_re
     printed = sample(0, '+')
     assert printed[0].startswith('compiling the kernels for this machine')
     assert printed[-1] == '11.0'
-    assert list(folder.glob('*/*/*picked*.nbc')) and not list(folder.glob('*/*/*halved*'))
+    assert list(folder.glob('*/*/*selected*.nbc')) and not list(folder.glob('*/*/*halved*'))
     assert sample(1, '+')[-1] == '21.0'
     assert sample(1, '-')[-1] == '19.0'
     for name in ('old', 'recent'):
@@ -242,15 +242,15 @@ def test_kernels_run_and_are_called_after_their_intermediate_code_is_freed(sampl
 import numba
 import numpy as np
 from plane_detector._runtime import compilation
-from sample.stage.loops import halved, picked
+from sample.stage.loops import halved, selected
 from sample.stage.parts import part
 compilation.compile_kernels(['stage', 'later'])
 part.compiled()
 compilation.free_intermediate_code()
-for one in (picked, halved, part):
+for one in (selected, halved, part):
     (overload,) = one.compiled().overloads.values()
     print(one.__name__, overload.library._shared_module is None)
-print(picked(np.array([10.0, 20.0])), halved(8.0))
+print(selected(np.array([10.0, 20.0])), halved(8.0))
 called = part.compiled()
 print(numba.njit('f8(f8)')(lambda value: called(value) + called(value))(4.0))
 """
@@ -260,4 +260,4 @@ print(numba.njit('f8(f8)')(lambda value: called(value) + called(value))(4.0))
     # What is compiled, and what is loaded from the cache.
     for lines in (first, loaded):
         lines = [line for line in lines if 'kernels' not in line]
-        assert lines == ['picked True', 'halved True', 'part False', '21.0 4.0', '10.0', '21.0']
+        assert lines == ['selected True', 'halved True', 'part False', '21.0 4.0', '10.0', '21.0']

@@ -3,8 +3,8 @@
 """
 Contribution of each stage of the segmentation: the results with one stage switched off.
 
-The differences are paired, scene by scene. Only depth that is exact or measured is segmented; the
-stages for the depth of networks are not among these.
+The differences are paired, scene by scene. Only exact or measured depth is segmented; the stages
+for the depth of networks are not included.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ from plane_detector.evaluation.peers import Ours
 from plane_detector.types import PlaneSegmentation
 
 TUNING_SEED = 8000
-"""First seed; constants and stages are chosen on seeds from here on, below 9000."""
+"""First seed; constants and stages are chosen on seeds from this one up to 9000."""
 ALL = 'all of these'
-# Stage: where its function is called, and what is called instead.
+# Stage: where its function is called, and the function that replaces it.
 _SEGMENT = 'plane_detector.segmentation.segment'
 _REGIONS = 'plane_detector.segmentation.regions'
 STAGES: dict[str, tuple[str, Callable[..., Any]]] = {
@@ -58,7 +58,7 @@ STAGES: dict[str, tuple[str, Callable[..., Any]]] = {
 
 
 class Without(Ours):
-    """Ours without some stages."""
+    """Our method without some stages."""
 
     def __init__(self, name: str, stages: Sequence[str]) -> None:
         super().__init__()

@@ -30,7 +30,7 @@ from plane_detector.evaluation.peers import Ours, all_methods
 
 EXACT_TRUTH, CURVED = ('rooms', 'lived-in rooms'), 'curved'
 SIZE_EDGES = (0.0, 0.01, 0.02, 0.04, 0.08, 0.16, 1.0)
-"""Of the planes in the figure, as shares of the image."""
+"""Sizes of planes in the figure, as shares of the image."""
 RECALL_SIGMA = 0.004
 _MARKERS = 'osD^vPX<>'
 

@@ -30,18 +30,19 @@ from plane_detector.evaluation.scenes.terrain import (
 from plane_detector.types import Detection
 
 NOISES: tuple[float | str, ...] = (0.0, 0.001, 0.004, 'kinect')
-# Smaller parts of a view are not judged.
+# Smaller parts of a view are not evaluated.
 MIN_PIXELS = 500
-# A reported point belongs to an edge that is this near, metres and share of the distance.
+# A reported point belongs to an edge within this distance, in metres and as a share of the
+# distance.
 NEAR_M, NEAR_SHARE = 0.1, 0.04
 WITHIN_M, MIN_DROP_M = 3.0, 0.0999
 GRAVITY_ERROR_DEG = 0.5
 BOX_HEIGHTS_M = (0.03, 0.04, 0.05, 0.06, 0.07, 0.08, 0.1, 0.12, 0.15, 0.2)
 KERB_DISTANCES_M = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0)
-# What is judged, and which share of ground is the worst one.
+# What is evaluated, and whether the smallest or the largest share of ground is the worst.
 JUDGED = {Kind.FLOOR: min, Kind.RAMP: min, Kind.LANDING: min, Kind.LOWER: min, Kind.UPPER: max,
           Kind.OBSTACLE: max}
-# A share on the wrong side of this, of ground or of what is none, is counted.
+# Views with a share on the wrong side of this, for ground or for what is not ground, are counted.
 BAD_SHARE = 0.8
 Judgements = Mapping[str, list[float]]
 """The numbers of :func:`measure` of all views."""
@@ -71,7 +72,7 @@ def run(options: argparse.Namespace) -> None:
 
 
 def detect(view: Terrain, noise: float | str, seed: int, height_m: float = 0.0) -> Detection:
-    """Detect in a view, with gravity as an IMU gives it."""
+    """Detect in a view, with gravity as from an IMU."""
     rng = np.random.default_rng([seed, 1])
     config = Config(depth=DepthConfig(source='topic'), scale=ScaleConfig(camera_height=height_m))
     yaw, pitch, roll = rng.normal(0, GRAVITY_ERROR_DEG, 3)
@@ -85,16 +86,16 @@ def measure(name: str, seed: int, noise: float | str) -> dict[str, float]:
     """
     Return what is found in one view of a kind of terrain.
 
-    The share of the pixels taken for ground by what they show (a name of ``Kind`` in small
-    letters), whether there is a ``false`` drop, and, if there is an edge that must be told, the
-    numbers of its points, all (``edge``) and ``found``.
+    The share of pixels classified as ground by what they show (a name of ``Kind`` in lower case),
+    whether there is a ``false`` drop, and, if there is an edge that must be detected, the numbers
+    of its points, all (``edge``) and ``found``.
     """
     view = terrain(name, np.random.default_rng([seed, *name.encode()]))
     return judge(view, detect(view, noise, seed))
 
 
 def judge(view: Terrain, found: Detection) -> dict[str, float]:
-    """Return what was found in a view, see :func:`measure`."""
+    """Return the results for a view, see :func:`measure`."""
     judged: dict[str, float] = {}
     for kind in JUDGED:
         pixels = view.kinds == kind
@@ -163,7 +164,7 @@ def _limits(seeds: Sequence[int]) -> str:
 
 
 def _finds_box(height_m: float, distance_m: float, noise: float | str, seed: int) -> bool:
-    """Return whether half of what rises over the middle of a box of 20 cm is an obstacle."""
+    """Return whether half of the middle of a box of 20 cm is an obstacle."""
     rng = np.random.default_rng([seed, 2])
     course = flat(rng, distance_m)
     course.add_box(0.0, distance_m + 0.1, np.array([0.2, 0.2, height_m]))

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Accuracy on real frames whose planes were labelled by hand, ours and other methods."""
+"""Accuracy of our and other methods on real frames with planes labelled by hand."""
 
 from __future__ import annotations
 
@@ -58,11 +58,11 @@ share of the depth, and half the size."""
 KEPT_SHARE = 0.8
 """A surface is kept if this share of it is in one plane."""
 UNSEEN_SETS = ('kitchen',)
-"""Real frames without labels of which --pictures also writes pictures."""
+"""Real frames without labels for which --pictures also writes pictures."""
 ABW_MIN_SHARE = 0.001
-"""Smallest plane on ABW: its regions are small, and each published method was set for them."""
+"""Smallest plane on ABW: its regions are small, and each published method was tuned for them."""
 APART = ('correct', 'missed', 'noise')
-"""Of the Hoover scores, those also counted with the connected pieces, as ABW's labels are."""
+"""The Hoover scores that are also counted for connected pieces, like ABW's labels."""
 LIMITS_MM = (1, 5, 10)
 """Mean differences of depth up to which a plane of ZeroPlane's packs counts as found."""
 _PANEL_WIDTH_PX = 640

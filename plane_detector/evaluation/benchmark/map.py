@@ -40,16 +40,16 @@ from plane_detector.mapping.plane_map import PlaneMap
 from plane_detector.planes.outline import PlacedDetection
 from plane_detector.types import CameraIntrinsics, Detection, Plane, Planes
 
-# A surface counts if so many images show this share of their pixels of it.
+# A surface counts if it covers this share of the pixels in this many images.
 LEAST_SHARE, LEAST_IMAGES, LEAST_SIDE_M = 0.006, 4, 0.1
-# A cell of a plane is on a surface within these; of several surfaces the nearest one counts.
+# A cell of a plane is on a surface within these; if there are several, the nearest one counts.
 NEAR_M, SAME_SIDE = 0.03, np.cos(np.radians(10.0))
 CELL_M = 0.04
 
 
 @dataclass(frozen=True)
 class Recording:
-    """A rendered walk with what was detected in it, for every kind of poses."""
+    """A rendered walk with its detections, for every kind of poses."""
 
     walked: Walk
     detections: tuple[Detection, ...]
@@ -122,9 +122,9 @@ class Score:
     of_none: int = 0
     pieces: int = 0  # planes of found surfaces
     switches: int = 0
-    seen: int = 0  # times that a surface was seen again
+    seen: int = 0  # number of times that a surface was seen again
     jumps: int = 0
-    left: int = 0  # planes on what is gone
+    left: int = 0  # planes on removed objects
     overlaps: tuple[float, ...] = ()
     offsets_m: tuple[float, ...] = ()
     squared: tuple[float, ...] = ()
@@ -156,7 +156,7 @@ def score(recording: Recording, kind: str, seed: int) -> Score:
             result.switches += last.get(surface, label) != label
             last[surface] = label
     snapshot = planes.snapshot()
-    # Where the last pose sees the planes, from there to the true world.
+    # From the planes according to the last pose to the true world.
     to_world = walked.poses[-1].after(given[-1].inverse())
     return replace(result, seconds=tuple(seconds)) + compare(
         recording, snapshot.surfaces, snapshot.planes.moved(to_world),
@@ -212,7 +212,7 @@ def compare(recording: Recording, planes: Sequence[MapPlane], coefficients: Plan
 
 
 def _off_surface_m(face: Rectangle, points_m: np.ndarray, normal: np.ndarray) -> float:
-    """Return how far off a surface points are that half of them are on; inf if they are not."""
+    """Return the distance of points from a surface if half of them are on it; otherwise inf."""
     u, v = face.edge_u, face.edge_v
     across = np.cross(u, v) / np.linalg.norm(np.cross(u, v))
     if abs(across @ normal) < SAME_SIDE:
@@ -226,7 +226,7 @@ def _off_surface_m(face: Rectangle, points_m: np.ndarray, normal: np.ndarray) ->
 
 def _overlap(face: Rectangle, cells: np.ndarray, planes: Sequence[MapPlane],
              to_world: RigidTransform) -> tuple[float, float]:
-    """Return intersection over union, and the share that is found, of the cells seen."""
+    """Return intersection over union, and the found share, of the observed cells."""
     low, high = cells.min(axis=0) - 8, cells.max(axis=0) + 8
     shape = tuple(high - low + 1)
     truth, found = np.zeros(shape, bool), np.zeros(shape, bool)
@@ -247,7 +247,7 @@ def _overlap(face: Rectangle, cells: np.ndarray, planes: Sequence[MapPlane],
 
 def _misfit(face: Rectangle, plane: MapPlane, coefficients: Planes, k: int,
             to_world: RigidTransform) -> tuple[np.ndarray, np.ndarray, float]:
-    """Return how far a plane is off its surface: coefficients, their covariance, its middle."""
+    """Return the error of a plane: coefficients, their covariance, offset at its centre."""
     frames = PlaneFrames(to_world.points(plane.origin_m)[None],
                          (plane.axes @ to_world.rotation.T)[None], np.zeros((1, 3)),
                          np.zeros((1, 3, 3)))

@@ -50,7 +50,7 @@ def _row(config: DepthConfig, images: int) -> list[str]:
     detector = PlaneDetector(Config(depth=config))
     start_s = time.perf_counter() - start_s
     model, stamps_s = detector.source.model, iter(np.arange(1, 1e6) / 30)
-    # An image of another shape, which no size of the network has been prepared for.
+    # An image of another shape, for which no input size has been prepared.
     wide = np.ascontiguousarray(rgb[60:420])
     lens = replace(intrinsics, height=wide.shape[0], cy=intrinsics.cy - 60)
     new_size_ms = _timed(lambda: model.predict(wide, lens))

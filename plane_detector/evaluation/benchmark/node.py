@@ -52,7 +52,7 @@ _PROFILE = Path(__file__).resolve().parents[3] / 'config' / 'fastdds_large_messa
 SUBSCRIPTIONS = {'nothing': (), 'planes': ('planes',), 'points, planes': ('points', 'planes'),
                  'all': tuple(OUTPUTS)}
 HELD_S = 0.5
-"""Each view is shown for this long, as by a slowly moving camera, so that labels are tracked."""
+"""Each view is shown for this long, as with a slowly moving camera, so that labels are tracked."""
 _STAGES = ('convert', 'depth', 'directions', 'segmentation', 'measurement', 'ground', 'tracking',
            'patches', 'messages', 'publish', 'total')
 _ROOM = 'room'
@@ -173,7 +173,7 @@ def _measured(depth: DepthConfig, outputs: Sequence[str], show: Show,
 
 @contextmanager
 def node_process(depth: DepthConfig, log_path: Path) -> Iterator[subprocess.Popen]:
-    """Run the node with a source of depth; it is ended with SIGINT, by force if need be."""
+    """Run the node with a source of depth; it is ended with SIGINT, by force if necessary."""
     with open(log_path, 'wb') as log:
         process = subprocess.Popen(
             [sys.executable, '-m', 'plane_detector.ros.node', '--ros-args', '-p',
@@ -278,7 +278,7 @@ class Camera:
         self._spin_until(lambda: not self._receiver.outputs
                          or self._node.count_subscribers(f'{NODE}/planes'))
         self._node.create_timer(1 / self._rate_hz, self._publish)
-        # The first start compiles some loops after the node is active.
+        # The first start compiles some kernels after the node is active.
         self._spin_until(lambda: not self._receiver.outputs or self._receiver.taken()
                          or self._statuses and self._statuses[-1].get('last_error'))
         self._spin(_SETTLING_S)

@@ -112,7 +112,7 @@ def _with_depth(scenes: Sequence[rooms.Scene], seeds: Sequence[int], sigma: floa
 
 
 def _gravity_errors(seen: Sequence[SceneDirections], scenes: Sequence[rooms.Scene]) -> list[float]:
-    """Return the errors, degrees, of the directions of gravity that are given."""
+    """Return the errors, in degrees, of the available directions of gravity."""
     return [angle_deg(one.gravity_camera, scene.gravity_camera)
             for one, scene in zip(seen, scenes, strict=True) if one.gravity_camera is not None]
 

@@ -3,11 +3,11 @@
 """
 Angles in relative disparity: true depth with the errors of a network, and raw outputs of networks.
 
-Depth of sensors and of rendered rooms becomes disparity with blurred borders, a smooth error that
-is a share of the disparity, and a random scale and shift. The shift is estimated from the image
-alone. The normals of regions that are one plane are compared with the true ones, and with those
-at the true shift, which shows what the shift adds to the error of the network; and so are those of
-the planes that the pipeline gives, which lines have rotated.
+Depth of sensors and of rendered rooms becomes disparity with blurred borders, a smooth error
+proportional to the disparity, and a random scale and shift. The shift is estimated from the image
+alone. The normals of regions that are one plane are compared with the true ones, and with those at
+the true shift, which shows what the shift adds to the error of the network. The planes of the
+pipeline, which lines have rotated, are compared in the same way.
 """
 
 from __future__ import annotations
@@ -74,13 +74,13 @@ class View:
 
     def by_image(self) -> ScaleEstimate:
         """Return the scale from gravity and horizontal axes of the lines of the image."""
-        around = DirectionFinder().find(
+        surroundings = DirectionFinder().find(
             CameraImage(self.rgb, self.intrinsics, None, self.disparity, has_shift=True), None,
             Config(), for_planes=True)
         return self.estimate(
-            ScaleConfig(), gravity_camera=around.gravity.gravity_camera,
-            down_tolerance_deg=around.gravity.tolerance_deg, level_axes=around.level_axes,
-            open_axes=around.open_axes)
+            ScaleConfig(), gravity_camera=surroundings.gravity.gravity_camera,
+            down_tolerance_deg=surroundings.gravity.tolerance_deg,
+            level_axes=surroundings.level_axes, open_axes=surroundings.open_axes)
 
 
 @dataclass(frozen=True)
@@ -90,11 +90,11 @@ class Angles:
     normal_deg: float  # mean of the normals of regions that are one plane
     at_true_shift_deg: float  # the same at the true scale and shift
     by_shift_deg: float  # root mean square, over pixels, of the rotation by the error of the shift
-    stated_deg: float  # that was stated for the latter
+    stated_deg: float  # stated error of the latter
 
 
 def network_view(scene: Scene | Frame, error_share: float, rng: np.random.Generator) -> View:
-    """Return what a relative network with smooth errors gives for an image, and its planes."""
+    """Return the output of a relative network with smooth errors for an image, and its planes."""
     disparity = with_network_errors(1.0 / scene.depth_m, error_share, rng)
     scale, shift = np.exp(rng.uniform(*np.log(SCALE_RANGE))), rng.uniform(*SHIFT_RANGE_PER_M)
     relative = (scale * (disparity + shift)).astype(np.float32)
@@ -105,7 +105,7 @@ def network_view(scene: Scene | Frame, error_share: float, rng: np.random.Genera
 
 def with_network_errors(disparity: np.ndarray, share: float,
                         rng: np.random.Generator) -> np.ndarray:
-    """Return disparity (H, W) with blurred borders and errors that are a share of it."""
+    """Return disparity (H, W) with blurred borders and errors proportional to it."""
     width = disparity.shape[1]
     known = np.isfinite(disparity)
     total, weight = (cv2.GaussianBlur(image.astype(np.float64), (0, 0), BLUR_SHARE * width)
@@ -171,7 +171,7 @@ def views(name: str, data: Path, seeds: Sequence[int], share: float) -> Iterator
 
 
 def report_simulated(data: Path, seeds: Sequence[int]) -> None:
-    """Print the table of true depth made relative."""
+    """Print the table of true depth converted to relative disparity."""
     rows, every = [], []
     for name in (*REAL, 'rooms') if data.is_dir() else ('rooms',):
         for share in ERROR_SHARES:
@@ -215,7 +215,7 @@ def _cells(found: Sequence[Angles]) -> list[str]:
 
 
 def report_raw(data: Path) -> None:
-    """Print what is said of the raw outputs of networks."""
+    """Print the results for the raw outputs of networks."""
     rows = []
     for path in sorted((data / RAW).glob('*.json')):
         about = json.loads(path.read_text())

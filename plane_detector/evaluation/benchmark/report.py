@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the subcommands share: options, processes, figures; tables below command and commit."""
+"""Shared code of the subcommands: options, processes, figures; tables below command and commit."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ SHARED: dict[str, dict[str, Any]] = {
 
 
 def add_shared(parser: argparse.ArgumentParser, *names: str, **defaults: int) -> None:
-    """Declare some of SHARED, with other defaults for some."""
+    """Declare some of SHARED, some with other defaults."""
     for name in names:
         parser.add_argument(name, **SHARED[name])
     parser.set_defaults(**defaults)

@@ -38,7 +38,7 @@ COUNTS = ('--rooms', '--living', '--curved')
 """Options of the numbers of scenes."""
 CURVED = tuple(product((0.25, 0.4, 0.7, 1.2), ((0, 0, 0), (0, -15, 4), (10, 10, 0)),
                        ('column', 'pipe', 'ball')))
-"""Each curved scene: radius in metres; yaw, pitch, roll of the camera; what stands there."""
+"""Each curved scene: radius in metres; yaw, pitch, roll of the camera; the object."""
 
 
 @lru_cache(maxsize=64)
@@ -71,7 +71,7 @@ SCENES: dict[str, Callable[[int], Scene]] = {
 
 
 def noisy_depth(scene: Scene, noise: Noise, seed: int) -> np.ndarray:
-    """Return a scene's depth with disparity noise or as a sensor sees it, the same for a seed."""
+    """Return a scene's depth with disparity noise or as from a sensor, fixed by the seed."""
     rng = np.random.default_rng([seed, 1])
     if isinstance(noise, str):
         return SENSORS[noise](scene.depth_m, scene.intrinsics, rng)

@@ -59,24 +59,24 @@ class _Room:
         return float(self.size[side % 2])
 
     def count(self, often: float | tuple[int, int]) -> int:
-        """Return how many there are of something, by chance."""
+        """Return a random number of objects."""
         if isinstance(often, float):
             return int(self.rng.uniform() < often)
         return 1 if often == ALWAYS else int(self.rng.integers(*often))
 
     def on_wall(self, thing: Thing, side: int, x: float, y: float = 0.0, z: float = 0.0) -> Thing:
-        """Return a thing moved from the centre of y = 0 to a place on a wall."""
+        """Return an object moved from the centre of y = 0 to a place on a wall."""
         corner = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])[side] * self.size[:2]
         return thing.at(x, y, z).at(*corner, 0, 90.0 * side)
 
     def put(self, thing: Thing, keep_clear_m: float = 0.0) -> Thing:
-        """Add a thing at its current place."""
+        """Add an object at its current place."""
         self.things.append(thing)
         self.taken.append(thing.bounds() + keep_clear_m * np.array([[-1, -1, 0], [1, 1, 0]]))
         return thing
 
     def try_to_put(self, place: Callable[[], Thing]) -> Thing | None:
-        """Add a thing at the first of its random places that is free and in the room, if any."""
+        """Add an object at the first of its random places that is free and in the room, if any."""
         for _ in range(_TRIES):
             there = place()
             low, high = there.bounds()
@@ -88,7 +88,7 @@ class _Room:
 
     def try_on_wall(self, side: int, make: Callable[[np.random.Generator], Thing], low: tuple,
                     high: tuple) -> Thing | None:
-        """Add a thing on a wall between two places, if it fits."""
+        """Add an object on a wall between two places, if it fits."""
         thing = make(self.rng)
 
         def place() -> Thing:
@@ -97,12 +97,12 @@ class _Room:
         return self.try_to_put(place)
 
     def try_on_floor(self, thing: Thing) -> None:
-        """Add a thing anywhere on the floor, if it fits."""
+        """Add an object anywhere on the floor, if it fits."""
         self.try_to_put(lambda: thing.at(*self.rng.uniform(0, self.size[:2]), 0,
                                          self.rng.uniform(0, 360)))
 
     def put_on(self, below: Thing, often: tuple[int, int] = ALWAYS) -> None:
-        """Add things on top of another, away from its edges, if there is space."""
+        """Add objects on top of another, away from its edges, if there is space."""
         low, high = below.bounds()
         for _ in range(self.count(often)):
             thing = furniture.on_table(self.rng)

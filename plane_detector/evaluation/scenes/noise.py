@@ -13,9 +13,9 @@ def with_disparity_noise(depth_m: np.ndarray, sigma: float, rng: np.random.Gener
     """
     Add noise of constant standard deviation to 1/depth, as in stereo and depth networks.
 
-    Of the variance, a share is smooth over the image, by a Gaussian blur of so many pixels; the
+    A share of the variance is smooth over the image, with a Gaussian blur of this many pixels; the
     rest is independent from pixel to pixel. The result is float32, NaN where the disparity would
-    not be positive, and read-only, as all that a scene gives.
+    not be positive, and read-only, like all arrays of a scene.
     """
     grain, smooth = rng.standard_normal((2, *depth_m.shape)).astype(np.float32)
     smooth = cv2.GaussianBlur(smooth, (0, 0), correlation_px)

@@ -33,8 +33,8 @@ class Scene:
     rgb: np.ndarray  # (H, W, 3) uint8
     depth_m: np.ndarray  # (H, W) float32: exact depth; NaN where the ray hits nothing
     labels: np.ndarray  # (H, W) int32: index into ``planes``, -1 for none
-    # (N, 4) float64: unit normal pointing to the camera and offset of every visible plane,
-    # in the camera frame
+    # (N, 4) float64: unit normal pointing toward the camera and offset of every visible plane, in
+    # the camera frame
     planes: np.ndarray
     intrinsics: CameraIntrinsics
     gravity_camera: np.ndarray  # (3,) float64: direction of gravity in the camera frame

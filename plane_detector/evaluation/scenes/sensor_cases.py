@@ -1,18 +1,19 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-What sensors of today do to large flat surfaces, in compact: one scene and one error each.
+Effects of current sensors on large flat surfaces, in compact form: one scene and one error each.
 
-- low stereo: a camera 6 to 16 cm above the floor. Stereo matches windows, so that a pixel sees a
-  place beside its own, as its neighbours in the window do; on a grazing floor that is the noise.
+- low stereo: a camera 6 to 16 cm above the floor. Stereo matches windows, so a pixel samples a
+  neighbouring ray, as do its neighbours in the window; on a floor at grazing incidence this is the
+  noise.
 - albedo: time of flight over surfaces that reflect .05 to .9 of the light. The noise falls with
   the amplitude (Foix et al. 2011): a dark carpet has ten times that of a white wall.
 - filtered: depth that a driver or a phone has smoothed and upsampled. It is smooth from pixel to
   pixel and wanders over the image.
 - terraces: a bowed tray from above in stereo, rounded to millimetres, with less noise than that.
 - bowed: table tops that bow by 2 to 5 mm.
-- mesh: a table top of mesh or bars, through which the floor is seen: each ray hits one of both,
-  or a pixel mixes them.
+- mesh: a table top of mesh or bars through which the floor is visible: each ray hits one of the
+  two, or a pixel mixes them.
 """
 
 from __future__ import annotations
@@ -68,7 +69,7 @@ def matched(scene: Scene, rng: np.random.Generator, lateral_px: float = 0.0,
                        (v + shift_v).astype(np.float32), cv2.INTER_NEAREST,
                        borderMode=cv2.BORDER_REPLICATE)
     pixel = 1 / (scene.intrinsics.fx * STEREO_BASELINE_M)
-    # Between rows and columns: the surface goes on as its plane does.
+    # Between rows and columns: the surface continues as its plane does.
     plane = scene.planes[scene.labels]
     ray_u = (u + shift_u - scene.intrinsics.cx) / scene.intrinsics.fx
     ray_v = (v + shift_v - scene.intrinsics.cy) / scene.intrinsics.fy
@@ -154,8 +155,8 @@ def mesh(rng: np.random.Generator) -> tuple[Scene, np.ndarray]:
     """
     Return a table top or deck of mesh or of bars above a floor, in stereo or time of flight.
 
-    10 to 50 % of it is open, its pitch is a third of a pixel to a dozen; of half of them each
-    pixel mixes what its neighbours see. What is seen through it has no label.
+    10 to 50 % of it is open, and its pitch is a third of a pixel to a dozen pixels; in half of the
+    scenes each pixel mixes what its neighbours see. Pixels behind it have no label.
     """
     camera = VGA if rng.random() < 0.5 else HALF
     top_m, away_m, pitch_deg = rng.uniform([0.05, 0.7, -85], [0.9, 1.2, -45])

@@ -58,7 +58,7 @@ def active_stereo(depth_m: np.ndarray, intrinsics: CameraIntrinsics,
     focal_baseline = intrinsics.fx * STEREO_BASELINE_M
     shadow = shadowed(depth_m, focal_baseline)
     pixel = 1 / focal_baseline
-    # A window behind a border matches what is in front of it. On a slope the sum is zero.
+    # A window behind a border matches the foreground. On a slope the sum is zero.
     exact = np.nan_to_num(1 / depth_m.astype(np.float64))
     nearest, farthest = (change(exact, np.ones((7, 7))) for change in (cv2.dilate, cv2.erode))
     disparity = np.where(nearest + farthest - 2 * exact > 0.5 * pixel, nearest, exact)
@@ -81,7 +81,8 @@ def time_of_flight(depth_m: np.ndarray, intrinsics: CameraIntrinsics,
     share = rng.random(depth_m.shape)
     is_flying = at_border & (rng.random(depth_m.shape) < 0.4)
     measured_m = np.where(is_flying, nearest + share * (farthest - nearest), exact_m)
-    # Light by way of the other wall: near a concave corner both look farther, by centimetres.
+    # Light also arrives via the other wall: near a concave corner both seem farther, by
+    # centimetres.
     disparity = np.where(seen, 1 / np.maximum(exact_m, 1e-3), 0)
     bend = cv2.Laplacian(cv2.GaussianBlur(disparity, (0, 0), 2), cv2.CV_64F)
     concave = np.clip(np.where(at_border, 0, bend), 0, 0.002)
@@ -89,7 +90,8 @@ def time_of_flight(depth_m: np.ndarray, intrinsics: CameraIntrinsics,
     measured_m += np.minimum(150 * cv2.GaussianBlur(concave, (0, 0), 25) * exact_m**2, 0.02)
     measured_m += 0.004 * np.sin(4 * np.pi * exact_m / 1.5)
     measured_m += lens_error(depth_m.shape, 0.002)
-    # Noise grows with the inverse of the amplitude: with distance, and towards the border.
+    # Noise is inversely proportional to the amplitude: it grows with distance, and toward the
+    # border.
     v, u = np.indices(depth_m.shape)
     off_axis = np.hypot((u - intrinsics.cx) / intrinsics.fx, (v - intrinsics.cy) / intrinsics.fy)
     sigma_m = 0.0007 * (1 + 0.4 * exact_m**2) * (1 + off_axis**2) ** 2
@@ -148,7 +150,7 @@ def shadowed(depth_m: np.ndarray, focal_baseline: float) -> np.ndarray:
 
 
 def fill(values: np.ndarray, seen: np.ndarray) -> np.ndarray:
-    """Return values (H, W) float32 with what is not seen interpolated, coarse to fine."""
+    """Return values (H, W) float32 with hidden pixels interpolated, coarse to fine."""
     if seen.all() or min(seen.shape) < 2:
         return values
     weight = cv2.resize(seen.astype(np.float32), None, fx=0.5, fy=0.5,

@@ -97,7 +97,7 @@ def _shape(rng: np.random.Generator, x: float, y: float, most_m: float) -> Thing
 
 
 def _tempting(kind: str, rng: np.random.Generator, x: float, y: float, most_m: float) -> Thing:
-    """Return a distractor: a curved object or a box that is no sphere, cylinder or cone."""
+    """Return a distractor: a curved object or a box that is not a sphere, cylinder or cone."""
     size = 0.7 * most_m
     if kind == 'box':
         low = np.array([x - size, y - size, 0.0])

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Rendered terrain before a robot, with the truth of ground, obstacles and drops."""
+"""Rendered terrain in front of a robot, with the truth of ground, obstacles and drops."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def random_view(rng: np.random.Generator) -> View:
 
 @dataclass
 class Course:
-    """Surfaces that are being laid out: the robot stands at the origin and looks along y."""
+    """Surfaces under construction: the robot stands at the origin and looks along y."""
 
     half_width_m: float
     # y and z of the ground
@@ -75,7 +75,7 @@ class Course:
     rectangles: list[Rectangle] = field(default_factory=list)
     kinds: list[Kind] = field(default_factory=list)
     curved: list[Revolution] = field(default_factory=list)
-    # where the ground ends, from one point to another, and how far it is down
+    # where the ground ends, from one point to another, and the depth of the drop
     edges: list[tuple[np.ndarray, np.ndarray, float]] = field(default_factory=list)
     # low x, high x, low y, high y of a part of the floor without depth
     patch: tuple[float, float, float, float] | None = None
@@ -120,9 +120,9 @@ class Terrain:
     points_m: np.ndarray  # (H, W, 3) float32: in the world, its origin on the floor at the robot
     above_m: np.ndarray  # (H, W) float32: height over the ground below each point
     edges_m: np.ndarray  # (E, 3): points along all edges
-    drops_m: np.ndarray  # (E,): how far the ground is down there
-    # (E,) bool: the camera sees the edge and looks over it, on to what is lower or on nothing, and
-    # the robot reaches it without falling: the first step of stairs down, not the next ones
+    drops_m: np.ndarray  # (E,): depth of the drop there
+    # (E,) bool: the camera sees the edge and looks over it, at something lower or at nothing, and
+    # the robot reaches it without falling: the first step of descending stairs, not the next ones
     is_visible: np.ndarray
     to_world: np.ndarray  # (3, 3): rotation of the camera
     position_m: np.ndarray  # (3,): of the camera
@@ -163,7 +163,7 @@ def clutter(rng: np.random.Generator, start_m: float) -> Course:
 
 
 def doorstep(rng: np.random.Generator, start_m: float) -> Course:
-    """Return a sill of 2 cm, on which a robot may roll, in a door."""
+    """Return a door with a sill of 2 cm, which a robot can drive over."""
     course, sill = Course(rng.uniform(1.5, 3.0)), start_m + 0.12
     for y, z in ((start_m, 0.0), (start_m, 0.02), (sill, 0.02), (sill, 0.0), (FAR_M, 0.0)):
         course.on(y, z, Kind.FLOOR)
@@ -251,7 +251,7 @@ def hole(rng: np.random.Generator, start_m: float) -> Course:
 
 
 def patch(rng: np.random.Generator, start_m: float) -> Course:
-    """Return a floor of which a part returns no depth, as glass or a black mat."""
+    """Return a floor with a part that returns no depth, such as glass or a black mat."""
     course, x = flat(rng, start_m), rng.uniform(-0.8, 0.2)
     course.patch = (x, x + rng.uniform(0.3, 1.2), start_m, start_m + rng.uniform(0.3, 1.0))
     return course
@@ -326,7 +326,7 @@ def _sampled(edges: list[tuple[np.ndarray, np.ndarray, float]]) -> tuple[np.ndar
 
 def _looked_over(edges_m: np.ndarray, points_m: np.ndarray, rotation: np.ndarray,
                  position: np.ndarray) -> np.ndarray:
-    """Return the edge points that are seen, with something lower or nothing just above them."""
+    """Return the visible edge points with something lower, or nothing, just above them."""
     x, y, z = ((edges_m - position) @ rotation).T
     z = np.where(z > 0.05, z, np.nan)
     u, v = VGA.fx * x / z + VGA.cx, VGA.fy * y / z + VGA.cy
@@ -338,7 +338,7 @@ def _looked_over(edges_m: np.ndarray, points_m: np.ndarray, rotation: np.ndarray
         near = points_m[row:row + 4, column]
         beyond = points_m[row - 8:row - 2, column]
         is_edge = np.linalg.norm(near - edges_m[k], axis=1) < 0.03 + 0.02 * z[k]
-        # Not finite: nothing is seen, which is as free.
+        # Not finite: nothing is visible, so the view is free.
         is_lower = ~(beyond[:, 2] > edges_m[k, 2] - 0.08)
         found[k] = is_edge.any() and is_lower.all()
     return found

@@ -31,7 +31,7 @@ class Walk:
 
     surfaces: tuple[Rectangle, ...]  # that stay
     poses: tuple[RigidTransform, ...]  # from the camera to the world, z up
-    gone: tuple[Rectangle, ...] = ()  # there in the first half only
+    gone: tuple[Rectangle, ...] = ()  # present only in the first half
     people: tuple[tuple[Rectangle, ...], ...] = ()  # of each image; empty: none
 
     def scene(self, index: int, intrinsics: CameraIntrinsics, rng: np.random.Generator) -> Scene:
@@ -47,11 +47,12 @@ class Walk:
 
 
 def walk(name: str, rng: np.random.Generator, images: int) -> Walk:
-    """Return one of :data:`ROOMS` with a way of the camera through it."""
+    """Return one of :data:`ROOMS` with a path of the camera through it."""
     return ROOMS[name](rng, images)
 
 
-def around(size: np.ndarray, rng: np.random.Generator, images: int) -> tuple[RigidTransform, ...]:
+def look_around(size: np.ndarray, rng: np.random.Generator,
+                images: int) -> tuple[RigidTransform, ...]:
     """Return poses that look across the room, all around once, and up and down meanwhile."""
     start_deg, ahead = rng.uniform(0, 360), rng.choice([-1, 1])
     poses = []
@@ -77,7 +78,7 @@ def _box_room(rng: np.random.Generator, images: int) -> Walk:
         faces += box([side * (size[0] - deep) / 2, rng.uniform(-0.3, 0.3) * size[1], high / 2],
                      [deep, width, high])
     faces += _table(rng, 0.0, 0.36 * size[1] * rng.choice([-1, 1]))
-    return Walk(tuple(faces), around(size, rng, images))
+    return Walk(tuple(faces), look_around(size, rng, images))
 
 
 def _table(rng: np.random.Generator, x: float, y: float) -> list[Rectangle]:
@@ -98,7 +99,7 @@ def _doorway(rng: np.random.Generator, images: int) -> Walk:
                            outside((left, -1), (left + width, 0.8))))
     faces += box([-x + 0.02 + 0.02, y - 0.9, 1.0], [0.04, 0.85, 2.0])  # the leaf
     faces += box([x - 0.01, rng.uniform(-0.8, 0.8), 1.5], [0.02, 0.9, 0.7])
-    return Walk(tuple(faces), around(size, rng, images))
+    return Walk(tuple(faces), look_around(size, rng, images))
 
 
 def _books(rng: np.random.Generator, images: int) -> Walk:
@@ -110,7 +111,7 @@ def _books(rng: np.random.Generator, images: int) -> Walk:
         faces += box([0, y, 0.71], [1.3, 0.75, 0.04])
         for x, high in ((-0.35, 0.03), (0.3, 0.06)):
             faces += box([x, y, 0.73 + high / 2], [0.32, 0.26, high], rng.uniform(-15, 15))
-    return Walk(tuple(faces), around(size, rng, images))
+    return Walk(tuple(faces), look_around(size, rng, images))
 
 
 def _steps(rng: np.random.Generator, images: int) -> Walk:
@@ -125,7 +126,7 @@ def _steps(rng: np.random.Generator, images: int) -> Walk:
         faces += [rectangle([-x, near, rise * k], [size[0], 0, 0], [0, 0, rise]),
                   rectangle([-x, near, rise * (k + 1)], [size[0], 0, 0], [0, deep, 0])]
     faces.append(rectangle([-0.6, -y + 1.5, 0], [1.2, 0, 0], [0, -1.5, 0.3]))
-    return Walk(tuple(faces), around(size, rng, images))
+    return Walk(tuple(faces), look_around(size, rng, images))
 
 
 def _panel(rng: np.random.Generator, images: int) -> Walk:
@@ -140,11 +141,11 @@ def _panel(rng: np.random.Generator, images: int) -> Walk:
 
 
 def _crate(rng: np.random.Generator, images: int) -> Walk:
-    """A crate that is there in the first half, which sees all of the room, as the second does."""
+    """A crate that is present in the first half; both halves see the whole room."""
     size = rng.uniform([3.6, 4.0, 2.4], [4.4, 5.0, 2.7])
     crate = box([rng.choice([-1, 1]) * 0.33 * size[0], 0.2, 0.3], [0.6, 0.6, 0.6],
                 rng.uniform(0, 40))
-    half = around(size, rng, images // 2)
+    half = look_around(size, rng, images // 2)
     return Walk((*walls(size), *_table(rng, 0.0, 0.36 * size[1])), half + half, tuple(crate))
 
 
@@ -176,7 +177,7 @@ HARD = ('doorway', 'books', 'steps', 'panel', 'crate')
 def with_errors(poses: Sequence[RigidTransform], kind: str, rng: np.random.Generator
                 ) -> list[RigidTransform]:
     """
-    Return poses as odometry gives them, in a frame of its own.
+    Return poses as from odometry, in its own frame.
 
     ``exact``; ``drift``: 10 cm and 2 degrees over the walk; ``jitter``: 1 cm and .3 degrees, new
     in each image; ``jump 10`` and ``jump 30``: so many cm at the half.

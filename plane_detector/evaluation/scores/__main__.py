@@ -8,7 +8,7 @@ Measure every front, in one table, and compare it with the floors.
     make scores ARGS='--only measured --against HEAD~3'
 
 The exit code is 1 if a front is below its floor by more than its spread, or could not be measured
-although all that it needs is there. What needs data that is not there is listed as not run.
+although its requirements are met. Measurements without their data are listed as not run.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ MEASUREMENTS: tuple[Measurement, ...] = (
     *measured.MEASUREMENTS, *colour.MEASUREMENTS, *robots.MEASUREMENTS, *cost.MEASUREMENTS)
 GROUPS = tuple(dict.fromkeys(one.group for one in MEASUREMENTS))
 COMPILED = ('geometry', 'segmentation', 'planes', 'ground', 'network', 'mapping', 'ros')
-# Takes a minute on both cores alone: only if it is named.
+# Takes a minute on both cores exclusively, so it runs only if it is named.
 NOT_BY_DEFAULT = ('compile',)
 
 
@@ -94,7 +94,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def unmet(options: argparse.Namespace) -> dict[str, str]:
-    """Return what is not there, and why, of what measurements may need."""
+    """Return the unmet requirements of measurements, with the reasons."""
     missing = {}
     if not options.data.is_dir():
         missing['data'] = f'no data, {options.data} is not there'
@@ -120,7 +120,7 @@ def measure(options: argparse.Namespace, seed: int, names: Sequence[str]) -> lis
 
 
 def report(rows: Sequence[Row], floors: dict[str, Floor]) -> list[str]:
-    """Print the table, and return the names of the fronts that do not hold."""
+    """Print the table, and return the names of the fronts that fail."""
     failed = []
     for group in dict.fromkeys(row.group for row in rows):
         lines = []
@@ -160,7 +160,7 @@ def load(path: Path) -> list[Row]:
 
 
 def differences(now: Sequence[Row], before: Sequence[Row], name: str) -> None:
-    """Print by how much each front differs from that of another commit, draw by draw."""
+    """Print the difference of each front from another commit, draw by draw."""
     old, lines = {row.name: row for row in before}, []
     for row in now:
         other = old[row.name]
@@ -202,7 +202,7 @@ def measured_there(options: argparse.Namespace, folder: Path, seed: int, group: 
 
 
 def compare(options: argparse.Namespace, seed: int, names: Sequence[str]) -> list[Row]:
-    """Measure another commit and this one in turns, by group; return the rows of this one."""
+    """Measure another commit and this one alternately, by group; return the rows of this one."""
     rows = []
     for group, other in turns(options, seed, names):
         now = measure(options, seed, [group])
@@ -220,7 +220,7 @@ def turns(options: argparse.Namespace, seed: int, names: Sequence[str]
         subprocess.run([*git, 'add', '--detach', str(folder), options.against], check=True,
                        capture_output=True)
         try:
-            # Its package, and the scenes, metrics and fronts of now.
+            # Its package, with the current scenes, metrics and fronts.
             there = folder / 'plane_detector' / 'evaluation'
             shutil.rmtree(there)
             shutil.copytree(ROOT / 'plane_detector' / 'evaluation', there)
@@ -251,7 +251,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
          f'below their floors or failed, {lacking} not run for lack of data or network.')
     if options.write_floors:
         if given != seeds:
-            # Other scenes: none of the floors says anything about them.
+            # Other scenes: the floors do not apply to them.
             floors = {}
         write_floors(FLOORS, given, renewed(floors, rows, commit(), options.reason))
     if failed:

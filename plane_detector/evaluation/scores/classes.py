@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""True classes of pixels, by rendered scenes or measured depth, and shares of right ones."""
+"""True classes of pixels, from rendered scenes or measured depth, and shares of correct ones."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ import numpy as np
 from plane_detector.evaluation.scenes.rendering import Scene
 from plane_detector.types import CameraIntrinsics, Detection, PlaneClass
 
-# What a pixel may be called: upright surfaces walls, level ones by the side that is seen.
+# Accepted classes of a pixel: walls for upright surfaces, by the visible side for level ones.
 UP, DOWN, UPRIGHT, NEITHER, UNKNOWN = 0, 1, 2, 3, -1
 RIGHT = {UP: (PlaneClass.FLOOR, PlaneClass.OTHER_HORIZONTAL, PlaneClass.STEP),
          DOWN: (PlaneClass.CEILING, PlaneClass.OTHER_HORIZONTAL), UPRIGHT: (PlaneClass.WALL,)}
 NAMED = (PlaneClass.FLOOR, PlaneClass.CEILING, PlaneClass.WALL, PlaneClass.OTHER_HORIZONTAL,
          PlaneClass.STEP, PlaneClass.RAMP)
-# chosen: twice the error of gravity in the data, and what a slope is surely above.
+# chosen: twice the error of gravity in the data, and a bound that slopes certainly exceed.
 LEVEL_DEG, SLOPE_DEG = 10.0, 20.0
 _WINDOW_PX, _LEAST_FILLED = 21, 0.9
 # chosen: the noise of a Kinect over such a window, 1/m.
@@ -36,7 +36,7 @@ def side(normals: np.ndarray, down: np.ndarray) -> np.ndarray:
 
 
 def classes_of_planes(scene: Scene) -> np.ndarray:
-    """Return what each pixel of a rendered scene is, (H, W)."""
+    """Return the true class of each pixel of a rendered scene, (H, W)."""
     kinds = np.append(side(scene.planes[:, :3], scene.gravity_camera), UNKNOWN)
     return kinds[scene.labels]
 
@@ -76,7 +76,8 @@ def class_shares(found: Detection, truth: np.ndarray, judged: np.ndarray | None 
     """
     Return the share of true floors, walls and level surfaces that have the right class, and wrong.
 
-    Wrong is another class than the right ones, but not none: also on what is neither.
+    A class other than the correct ones is wrong, also on surfaces that are neither; no class is
+    not wrong.
     """
     classes = np.append(found.planes.classes, PlaneClass.UNKNOWN)[found.labels]
     names = [np.isin(truth, (UP, DOWN, UPRIGHT))]

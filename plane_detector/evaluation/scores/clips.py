@@ -1,10 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Real images in their order, with depth and the true direction of gravity; turned cameras.
+Sequences of real images with depth and the true direction of gravity; turned cameras.
 
-The direction is that of the level surfaces in the measured depth. Where poses are known it is one
-direction in their world, from all images, which agree within 2 degrees; else that of each image.
+The direction is that of the level surfaces in the measured depth. Where poses are known, it is one
+direction in their world frame, from all images, which agree within 2 degrees; otherwise that of
+each image.
 """
 
 from __future__ import annotations

@@ -3,9 +3,10 @@
 """
 Fronts of one camera: planes and classes by colour alone, and the vertical.
 
-The depth is fastdepth's. The depth that was measured with the images judges: normals by the best
-plane through the points of a found plane, the covering by the planes in it, classes by the
-surroundings of each pixel. No network is judged by one seed: it changes normals by degrees.
+Depth comes from fastdepth. The depth measured with the images is the reference: for normals, the
+best plane through the points of a detected plane; for the covering, the planes in it; for classes,
+the surroundings of each pixel. A network is never evaluated with one seed, because the seed
+changes normals by degrees.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ from plane_detector.evaluation.scores.measured import seeded
 from plane_detector.evaluation.scores.table import HIGHER, LOWER, Draw, Measurement, Values
 from plane_detector.types import CameraIntrinsics, Detection, Prediction
 
-# Single images: the set, every which image of it, and how many.
+# Single images: the set, the step between its images, and their number.
 SINGLE = {'living_room': (5, 12), 'kinect_walk': (5, 12), 'kitchen': (1, 8), 'nyu': (1, 3),
           'labelled/nyu_planes_dpd': (1, 8)}
 NAMES = {'labelled/nyu_planes_dpd': 'nyu', 'videos/kitchen_30hz': 'kitchen_30hz'}
@@ -45,7 +46,7 @@ SINGLE_SEEDS, STREAM_SEEDS = 8, 4
 WRONG_DEG = 6.0
 """An error of the vertical above this makes classes wrong."""
 PURE, LEAST_SHARE = 0.9, 0.01
-"""Planes with this share of their pixels on one true plane, and of the image, are judged."""
+"""Planes with this share of their pixels on one true plane, and of the image, are evaluated."""
 WORDS = ('gravity stated', 'nothing stated')
 
 
@@ -160,7 +161,7 @@ def _detector(kind: str, seed: int) -> PlaneDetector:
 
 
 def turned(draw: Draw) -> Values:
-    """Return how often the vertical is wrong where a camera is turned, and answered upright."""
+    """Return how often the vertical is wrong with a turned camera, and answered upright."""
     kind, name = draw.part.split(', ')
     values: dict[str, list[float]] = defaultdict(list)
     shots = clip(draw.data, name, *WALKS[name])
@@ -184,7 +185,7 @@ TIMES = 12
 
 
 def repeated(draw: Draw) -> Values:
-    """Return what becomes of one view that is shown again and again."""
+    """Return the results for one view that is shown repeatedly."""
     changed, wrong = [], []
     for name, (step, count) in REPEATED.items():
         for k, shot in enumerate(clip(draw.data, name, step, count)):
@@ -220,7 +221,7 @@ STREET = 'kitti'
 
 
 def wrong_lens(draw: Draw) -> Values:
-    """Return how often the vertical is wrong where the focal length is, each view shown six times.
+    """Return how often the vertical is wrong if the focal length is; each view is shown six times.
 
     The street is seen by a level camera, and its field of view stated as 69 degrees, not 81.
     """
@@ -271,7 +272,7 @@ def as_network(draw: Draw) -> Values:
 
 
 def real_as_network(draw: Draw) -> Values:
-    """Return the same of real images with measured depth."""
+    """Return the same for real images with measured depth."""
     values: dict[str, list[float]] = defaultdict(list)
     for name in relative.REAL:
         for k, path in enumerate(sorted((draw.data / name).glob('*_depth.png'))):
@@ -291,14 +292,14 @@ def _of_view(view: relative.View, title: str) -> dict[str, float]:
                 relative.published_deg(view) if is_answered else float('nan')}
 
 
-# Pictures by a camera that is held upright, within what hands do.
+# Pictures from a handheld, upright camera.
 UPRIGHT = ('chess', 'nyu_entry', 'dpt_049259', 'dpt_127660', 'dpt_171190', 'dpt_272566',
            'dpt_367386', 'dpt_506656', 'dpt_517069')
 UPRIGHT_DEG = 50.0
 
 
 def raw_outputs(draw: Draw) -> Values:
-    """Return what is found in raw outputs of strong networks."""
+    """Return the results for raw outputs of strong networks."""
     values: dict[str, list[float]] = defaultdict(list)
     for path in sorted((draw.data / relative.RAW).glob('*.json')):
         about = json.loads(path.read_text())
@@ -328,7 +329,7 @@ def raw_outputs(draw: Draw) -> Values:
 
 @dataclass(frozen=True)
 class _WithNormals(DepthFunction):
-    """A network that also gives normals."""
+    """A network that also provides normals."""
 
     normals_camera: np.ndarray | None = None
 
@@ -337,7 +338,7 @@ class _WithNormals(DepthFunction):
 
 
 NORMALS_DEG = 4.0
-"""Smooth error of a network's normals, as those of DSINE and Metric3D have it on offices."""
+"""Smooth error of a network's normals, as for DSINE and Metric3D on offices."""
 
 
 def with_normals(draw: Draw) -> Values:

@@ -3,8 +3,8 @@
 """
 What an image costs: time as a ratio to a fixed piece of work, memory, loops, and code to read.
 
-Both are timed in turns, by the time of their thread, in one process: a slower or busier machine
-slows both. What else a busy machine does, to its caches above all, is in the spread.
+Both are timed alternately, by thread time, in one process: a slower or busier machine slows both.
+Other effects of a busy machine, mainly on its caches, are in the spread.
 """
 
 from __future__ import annotations
@@ -40,11 +40,11 @@ TURNS = 15
 # processes, and less than half of what must be seen, twice the time.
 BUSY_SHARE = 0.4
 GROWTH_SHARE = 0.05
-"""What a feature may add to read or to compile without a word of reason."""
+"""What a feature may add to read or to compile without a stated reason."""
 PACKAGE = Path(plane_detector.__file__).parent
 STAGES = ('depth', 'directions', 'segmentation', 'scale', 'measurement', 'ground', 'tracking',
           'patches')
-# Stages that take less than this share of an image are not judged one by one.
+# Stages that take less than this share of an image are not evaluated individually.
 MEASURED_STAGES = ('segmentation', 'measurement', 'ground', 'tracking')
 NETWORK_STAGES = ('directions', 'segmentation', 'measurement', 'ground', 'patches')
 
@@ -64,7 +64,7 @@ class ThreadTimer:
 
 
 def fixed_work() -> Callable[[], None]:
-    """Return the piece of work that all others are compared with, some 10 ms."""
+    """Return the workload with which all others are compared, some 10 ms."""
     rng = np.random.default_rng(0)
     image, order = rng.random((480, 640), np.float32), rng.random(40_000)
     bytes_ = (255 * image).astype(np.uint8)
@@ -100,7 +100,7 @@ def _scenes(draw: Draw) -> range:
 
 
 def timed(function: Callable[[], object]) -> float:
-    """Return the seconds that a call takes of its thread."""
+    """Return the thread time of a call in seconds."""
     start_s = time.thread_time()
     function()
     return time.thread_time() - start_s
@@ -182,7 +182,7 @@ print(float(line.split()[1]) / 1024)
 
 
 def peak_scene() -> tuple[PlaneDetector, object, np.ndarray]:
-    """Return what the peak of memory is measured with."""
+    """Return the input for measuring the peak of memory."""
     scene = room(9000)
     return PlaneDetector(seeded(0)), scene, noisy_depth(scene, 0.002, 9000)
 
@@ -246,7 +246,7 @@ class Reading:
 
     @property
     def numbers(self) -> tuple[int, int]:
-        """How many files of the package, and functions in them."""
+        """Number of files of the package, and of functions in them."""
         # By their places: a loop that Python calls may show a code object of numba too.
         own = {(code.co_filename, code.co_firstlineno) for code in self.codes
                if code.co_filename.startswith(str(PACKAGE))
@@ -256,7 +256,7 @@ class Reading:
 
 
 def reading(draw: Draw) -> Values:
-    """Return how many files and functions one image passes."""
+    """Return how many files and functions one image passes through."""
     scene = textured(rooms.random_room, draw.seed)
     depth_m = noisy_depth(scene, 0.002, draw.seed)
     values = {}

@@ -59,10 +59,10 @@ SETS = {'nyu_planes_dpd': 'NYU by hand', TABLETOPS: 'tables', 'icl_office_evops'
         OF_TODAY: 'sensors'}
 VIDEOS = ('d435_standing', 'd435_moving', 'kitchen_30hz')
 BLINKING_DRAWS, BLINKING_SHARE = 20, 0.02
-"""Fresh noise on the same frame so often; planes over this share of the image must stay."""
+"""Number of draws of new noise on one frame; planes over this share of the image must persist."""
 HOLES = 0.2
 SMALL_STEPS = Path(__file__).with_name('small_steps.json')
-# chosen: as the sizes of cameras are, with the same field of view.
+# chosen: sizes of real cameras, with the same field of view.
 SIZES = {'640 x 480': 1, '320 x 240': 2, '160 x 120': 4}
 
 
@@ -88,7 +88,7 @@ def rendered(draw: Draw) -> Values:
 
 
 def curved(draw: Draw) -> Values:
-    """Return the share of a curved thing in planes, and the least IoU of wall and floor."""
+    """Return the share of a curved object in planes, and the least IoU of wall and floor."""
     shares, ious = {noise: [] for noise in CURVED_NOISES}, []
     for index in range(int(draw.part), len(CURVED), 4):
         scene = curved_scene(index)
@@ -206,7 +206,7 @@ NEAR_NOISES = (0.0005, 0.001, 0.002)
 
 def near_fronts(draw: Draw) -> Values:
     """
-    Return how much of an obstacle right before the robot is seen.
+    Return how much of an obstacle right in front of the robot is detected.
 
     A box parallel to the image, .3 to .5 m ahead of a camera that looks along a level floor, in
     whole millimetres with noise that grows with the square of the distance, which is less than a
@@ -233,11 +233,11 @@ def near_fronts(draw: Draw) -> Values:
 
 
 STATED_NOISES = (0.0, 0.006)
-"""What a network may state of its noise: nothing, or as the best of the zoo do."""
+"""Stated noise of a network: none, or that of the best network of the zoo."""
 
 
 def misleading(draw: Draw) -> Values:
-    """Return by how much false pictures make planes worse than good depth alone does."""
+    """Return how much worse planes are with misleading pictures than with good depth alone."""
     scene, values = room(draw.seed), {'turned': [], 'worse': [], 'lost': []}
     noisy_m = noisy_depth(scene, 0.002, draw.seed)
     for kind in KINDS:
@@ -266,12 +266,12 @@ def _errors(scene: Scene, found) -> tuple[np.ndarray, float]:
 
 def small_steps(draw: Draw) -> Values:
     """
-    Return the shares of real steps of 1 to 5 cm told apart, and of real surfaces left whole.
+    Return the shares of real steps of 1 to 5 cm that are separated, and of surfaces kept whole.
 
     The file has rectangles strictly inside surfaces, row and column of two corners each. Pairs are
     nearly parallel, and each is 1 to 5 cm off the plane through the other: magazines and books on
     tables, parts in a bin, drawers, a picture, a calendar, tiles, and neighbours among the labels
-    of ABW. Half of those that are not of ABW were chosen by the pictures alone.
+    of ABW. Half of the pairs that are not from ABW were chosen by the pictures alone.
     """
     told, whole = [], []
     for name, found in json.loads(SMALL_STEPS.read_text()).items():
@@ -317,7 +317,7 @@ def lost_planes(before: np.ndarray, after: np.ndarray,
 
 
 def blinking(draw: Draw) -> Values:
-    """Return how many planes of a still frame are lost from draw to draw of fresh noise."""
+    """Return how many planes of a still frame are lost between draws of new noise."""
     lost = []
     for frame in _labelled(draw.data)[draw.part::2]:
         if frame.set_name != OF_TODAY:
@@ -332,7 +332,7 @@ def blinking(draw: Draw) -> Values:
 
 
 def video(draw: Draw) -> Values:
-    """Return planes lost from image to image of a video, and labels that change."""
+    """Return planes lost between images of a video, and labels that change."""
     detector, lost, switched, last = PlaneDetector(seeded(draw.seed)), [], [], None
     for k, path in enumerate(sorted((draw.data / 'videos' / draw.part).glob('*_depth.png'))):
         about = json.loads((path.parent / 'intrinsics.json').read_text())

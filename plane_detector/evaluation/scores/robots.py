@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Fronts of robots: ground, obstacles and drops; situations as programs; the map of planes."""
+"""Fronts for robots: ground, obstacles and drops; situations as programs; the map of planes."""
 
 from __future__ import annotations
 
@@ -27,7 +27,8 @@ SEEDS = 24
 TERRAINS = ('flat', 'boxes, tables, cables', 'ramp up', 'ramp down', 'kerb down', 'stairs down',
             'stairs up', 'hole', 'quay')
 NOISES = (0.001, 0.004, 'kinect')
-# A view is bad if less of the floor or of what joins it is ground, or more of an obstacle.
+# A view is bad if a smaller share of the floor or of what joins it is ground, or more of an
+# obstacle.
 BAD_SHARE = 0.5
 SHARES = {Kind.FLOOR: ('own floor', HIGHER), Kind.RAMP: ('ramps', HIGHER),
           Kind.LANDING: ('behind ramps', HIGHER), Kind.OBSTACLE: ('obstacles as ground', LOWER)}
@@ -54,9 +55,9 @@ def terrains(draw: Draw) -> Values:
 
 def range_edges(draw: Draw) -> Values:
     """
-    Return how much of the edge of stairs down is a drop where nothing is seen behind it.
+    Return how much of the edge of descending stairs is a drop if nothing is visible behind it.
 
-    The camera looks straight ahead and saw a wall farther than the edge in the images before.
+    The camera looks straight ahead, and saw a wall farther than the edge in earlier images.
     """
     rng = np.random.default_rng(draw.seed)
     camera = View(rng.uniform(0.25, 0.4), rng.uniform(0.0, 6.0))
@@ -71,7 +72,7 @@ def range_edges(draw: Draw) -> Values:
     for _ in range(4):
         detected(look(flat(rng, 2.0), camera, rng), far_m)
     view = look(stairs(rng, start_m, -1), camera, rng)
-    # All of the stairs is out of sight or too far for the sensor.
+    # The whole staircase is out of sight or too far for the sensor.
     found = detected(view, float(np.nanmax(np.where(
         view.kinds == Kind.FLOOR, view.scene.depth_m, np.nan))))
     edge_m = view.edges_m[view.is_visible]
@@ -118,7 +119,7 @@ def _few_smears(found: Detection, masks: Mapping[str, np.ndarray]) -> bool:
     return bool(found.obstacles[smeared].mean() < 0.1) if smeared.any() else True
 
 
-# Each situation: the camera's height if it is stated, the factor of the depth, what is right.
+# Each situation: the camera height if stated, the factor on the depth, what is correct.
 FIELD: dict[str, tuple[str, float, float, Callable[..., bool]]] = {
     'a round thing alone': ('round_obstacle_only', 0.6, 1, lambda found, masks: (
         found.obstacles.size > 0 and found.obstacles[masks['bush']].mean() > 0.98)),
@@ -144,7 +145,7 @@ FIELD: dict[str, tuple[str, float, float, Callable[..., bool]]] = {
 
 
 def field_cases(draw: Draw) -> Values:
-    """Return the share of situations from public reports in which all is right."""
+    """Return the share of situations from public reports in which everything is correct."""
     right = []
     for name, height_m, factor, is_right in FIELD.values():
         found, masks = _field(draw, name, height_m, factor)
@@ -179,7 +180,7 @@ MAPS = {'box rooms': (('box',), '', ('drift', 'jump 30')),
 
 
 def mapped(draw: Draw) -> Values:
-    """Return what is found, invented, left over and renamed on a walk through a room."""
+    """Return what is found, invented, left over and relabelled on a walk through a room."""
     # Here: with --against, this module must be imported where there was no map yet.
     from plane_detector.evaluation.benchmark import map
     title, room = draw.part.split(': ')

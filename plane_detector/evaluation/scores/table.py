@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-What the table of scores consists of: measurements, their jobs, the rows that come out, floors.
+Parts of the table of scores: measurements, their jobs, the resulting rows, floors.
 
 A measurement is a function of a draw. A draw is a seed of the scene and its noise, or of RANSAC
-where the images are given, so that the spread over the draws says by how much a value changes if
-nothing is better or worse.
+for given images, so the spread over the draws shows how much a value changes if nothing is better
+or worse.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ Values = Mapping[str, float | Sequence[float]]
 
 @dataclass(frozen=True)
 class Draw:
-    """What a measurement is run on."""
+    """The input of a measurement."""
 
     seed: int
     part: str | int  # of the images or scenes that it is about
@@ -49,7 +49,7 @@ class Measurement:
     needs: tuple[str, ...] = ()  # of NEEDS
     # Fronts whose deviation over the draws, image by image, is a front of its own.
     steady: tuple[str, ...] = ()
-    # Least spread as a share of the value, for what the machine changes.
+    # Least spread as a share of the value, for effects of the machine.
     least_share: float = 0.0
 
     @property
@@ -69,7 +69,7 @@ class Job:
 
 @dataclass(frozen=True)
 class Done:
-    """What a job returned."""
+    """The result of a job."""
 
     measurement: int
     seed: int
@@ -83,7 +83,7 @@ def run_job(job: Job) -> Done:
     try:
         values = {name: np.atleast_1d(np.asarray(value, float)).tolist()
                   for name, value in job.function(job.draw).items()}
-    except Exception as problem:  # whatever it is belongs into the table
+    except Exception as problem:  # whatever it is belongs in the table
         error = f'{type(problem).__name__}: {problem}'.splitlines()[0]
     return Done(job.measurement, job.draw.seed, values, error)
 
@@ -97,7 +97,7 @@ class Row:
     better: int
     # of each draw, its values in the same order; empty if it was not run
     draws: Mapping[int, list[float]] = field(default_factory=dict)
-    missing: str = ''  # what is not there, so that it was not run
+    missing: str = ''  # missing requirement, because of which it was not run
     error: str = ''  # why it failed
     least_share: float = 0.0
 
@@ -122,8 +122,9 @@ class Row:
         """
         Two standard errors of the value: over the draws, or over the values of a single draw.
 
-        Of two equally good versions one is below the other by more in 8 % of the cases. Where the
-        draws hardly differ, it is at least what two deviations in one of the values change.
+        In 8 % of the cases, one of two equally good versions is below the other by more than this.
+        Where the draws hardly differ, it is at least the effect of two deviations in one of the
+        values.
         """
         means = [np.mean(known) for draw in self.draws.values()
                  if (known := [value for value in draw if np.isfinite(value)])]
@@ -135,7 +136,7 @@ class Row:
 
 
 def deviation(row: Row) -> Row:
-    """Return the front of how much each value of a row changes from draw to draw."""
+    """Return a front for the change of each value of a row between draws."""
     name = f'{row.name}, deviation by seed'
     lengths = {len(draw) for draw in row.draws.values()}
     if len(lengths) != 1 or len(row.draws) < 2:
@@ -172,7 +173,7 @@ def rows_of(table: Sequence[Measurement], done: Iterable[Done],
 
 @dataclass(frozen=True)
 class Floor:
-    """What a front must not fall below by more than the spread; of LOWER, not rise above."""
+    """The value below which a front must not fall by more than the spread; for LOWER, above."""
 
     value: float
     spread: float
@@ -195,12 +196,12 @@ _SEEDS = 'seeds from'
 
 
 def rounding(value: float) -> float:
-    """Return by how much a floor may differ from its value as it is written."""
+    """Return the rounding error of a floor as written."""
     return abs(value) * 10.0 ** (1 - _DIGITS) + 1e-9
 
 
 def read_floors(path: Path) -> tuple[str, dict[str, Floor]]:
-    """Return from which date or number the seeds are, and the floors by the name of the front."""
+    """Return the date or number of the seeds, and the floors by the name of the front."""
     with path.open(encoding='utf-8', newline='') as file:
         rows = {row['front']: row for row in csv.DictReader(file)}
     seeds = rows.pop(_SEEDS)['floor']
@@ -224,7 +225,8 @@ def renewed(floors: Mapping[str, Floor], rows: Iterable[Row], commit: str,
     Return the floors after a change.
 
     A floor rises to a value that is better by more than its spread. It falls to a value that is
-    below it by more only for a reason; without one it stays. A front that is new gets its value.
+    lower by more than the spread only for a stated reason; without one it stays. A new front gets
+    its value.
     """
     result = dict(floors)
     for row in rows:
