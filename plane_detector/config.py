@@ -192,7 +192,8 @@ class SegmentationConfig(Settings, section='segmentation'):
         'deg', 0.0, 45.0, python_only=True)
     memory: bool = setting(
         True, 'planes of measured depth persist from image to image unless the depth clearly '
-        'contradicts them; false: each image is segmented independently')
+        'contradicts them, and classes and confidences of tracked planes are averages; false: '
+        'each image is judged independently')
     snap_to_picture: bool = setting(
         True, 'with the depth of a network, borders of planes move to image edges within about '
         '3 pixels of the network input', python_only=True)

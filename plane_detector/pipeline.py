@@ -308,8 +308,7 @@ class PlaneDetector:
         with timer('tracking'):
             # 5. Labels that persist from image to image, and averages over them.
             planes = state.tracker.update(planes, config.tracking)
-            remembers = (config.segmentation.memory and config.tracking.enabled
-                         and observation.is_measured)
+            remembers = config.segmentation.memory and config.tracking.enabled
             past = (state.history if remembers else NO_HISTORY).of(
                 planes.planes, observation.intrinsics)
             planes = replace(planes, planes=replace(
