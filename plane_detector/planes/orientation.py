@@ -29,7 +29,7 @@ those of the lines, or those of the planes themselves (plane_axes.py).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from math import erf
 
 import numpy as np
@@ -106,6 +106,12 @@ class Orientations:
     # (K,) float64: that the plane is horizontal, vertical or neither, as this normal indicates
     class_probability: np.ndarray
 
+    def followed_by(self, others: Orientations, chosen: np.ndarray) -> Orientations:
+        """Return these, and the chosen ones of others."""
+        return Orientations(*(np.concatenate([getattr(self, one.name),
+                                              getattr(others, one.name)[chosen]])
+                              for one in fields(Orientations)))
+
 
 @dataclass(frozen=True)
 class _Hypotheses:
@@ -132,7 +138,8 @@ class ScoredOrientations:
 
 def score_orientations(planes: Planes, directions: SceneDirections,
                        evidence: LineEvidence, samples: RegionSamples,
-                       shift_rad: float = 0.0) -> ScoredOrientations:
+                       shift_rad: float = 0.0, sigmas_rad: np.ndarray = SIGMAS_RAD
+                       ) -> ScoredOrientations:
     """
     Score the hypotheses of every plane.
 
@@ -148,22 +155,24 @@ def score_orientations(planes: Planes, directions: SceneDirections,
         Of their pixels.
     shift_rad : float
         Error of normals due to an uncertain shift of the disparity.
+    sigmas_rad : (S,) float64
+        Errors that the normals of the network may have.
 
     """
     hypotheses = _hypotheses(planes.normals, directions, evidence, samples.middles)
     moved = samples.depth_change(hypotheses.normals)
     lost = (LINE_WEIGHT * evidence.contradiction(hypotheses.normals)
             + 0.5 * (moved / DEPTH_ERROR_SHARE) ** 2)
-    variances = normal_variances(planes, samples, SIGMAS_RAD[:, None], shift_rad)
+    variances = normal_variances(planes, samples, sigmas_rad[:, None], shift_rad)
     outliers = np.minimum(OUTLIER_SIZE / np.maximum(samples.image_shares, 1e-6), MAX_OUTLIER_SHARE
                           ) * variances / (variances + EXPECTED_SIGMA_RAD**2)
     scores = _log_likelihood(hypotheses, variances, outliers[..., None]) - lost
     # Whatever its lines, a region is rotated only within its error.
     scores[hypotheses.angle_rad > MOST_TILTS * np.sqrt(variances)[..., None]] = -np.inf
-    prior = -0.5 * (np.log(SIGMAS_RAD / EXPECTED_SIGMA_RAD) / LOG_SIGMA_SPREAD) ** 2
+    prior = -0.5 * (np.log(sigmas_rad / EXPECTED_SIGMA_RAD) / LOG_SIGMA_SPREAD) ** 2
     evidence_of = np.logaddexp.reduce(scores, axis=2).sum(axis=1) + prior
     best = int(np.argmax(evidence_of))
-    return ScoredOrientations(directions, hypotheses, scores[best], SIGMAS_RAD[best],
+    return ScoredOrientations(directions, hypotheses, scores[best], sigmas_rad[best],
                               variances[best], _bends(planes, samples), float(evidence_of[best]))
 
 

@@ -22,6 +22,8 @@ MAX_DEPTH_SHARE = 0.25
 # Number of colours of a region if it is unknown, without blurred borders. measured: the median of
 # 6000 regions of images through FastDepth; a quarter has less than 1.4, another more than 5.1.
 USUAL_COLOURS = 2.6
+# chosen: what is left of a region is at least a tenth of it.
+MOST_OF_REGION = 0.9
 
 
 def colours_in_regions(labels: np.ndarray, patches: np.ndarray, count: int) -> np.ndarray:
@@ -45,6 +47,52 @@ def colours_in_regions(labels: np.ndarray, patches: np.ndarray, count: int) -> n
     pixels = np.bincount(small[seen] * kinds + patches[seen],
                          minlength=count * kinds).reshape(count, kinds).astype(float)
     return pixels.sum(1) ** 2 / np.maximum((pixels**2).sum(1), 1.0)
+
+
+def patches_in_regions(labels: np.ndarray, patches: np.ndarray, asked: np.ndarray,
+                       min_pixels: float) -> tuple[np.ndarray, int]:
+    """
+    Return the patches that lie in some regions, as regions of their own, and their number.
+
+    Parameters
+    ----------
+    labels : (H, W) int32
+        Index of the region, -1 none.
+    patches : (h, w) int32
+        As in :class:`~plane_detector.segmentation.cells.model.PixelRegions`.
+    asked : (K,) bool
+        The regions.
+    min_pixels : float
+        What of a patch lies in a region has at least about this many pixels.
+
+    Returns
+    -------
+    labels : (H, W) int32
+        Index of the patch in its region, -1 none. A region of nearly one patch has no parts.
+    count : int
+
+    Examples
+    --------
+    >>> labels, two = np.zeros((4, 8), np.int32), np.array([[1, 2]], np.int32)
+    >>> found, count = patches_in_regions(labels, two, np.array([True]), 16)
+    >>> found[0].tolist(), count
+    ([0, 0, 0, 0, 1, 1, 1, 1], 2)
+
+    """
+    small, kinds = labels[::PATCH_SCALE, ::PATCH_SCALE], int(patches.max(initial=0)) + 1
+    inside = np.append(asked, False)[small] & (patches > 0)
+    pair = small[inside] * kinds + patches[inside]
+    pixels = np.bincount(pair, minlength=len(asked) * kinds).reshape(-1, kinds)
+    whole = np.bincount(small[small >= 0], minlength=len(asked))[:, None]
+    is_part = ((pixels >= max(min_pixels / PATCH_SCALE**2, 1))
+               & (pixels < MOST_OF_REGION * whole)).ravel()
+    part, region = np.full((2, *small.shape), -2, np.int32)
+    part[inside] = np.where(is_part, np.cumsum(is_part) - 1, -1)[pair]
+    region[inside] = small[inside]
+    height, width = labels.shape
+    part, region = (one.repeat(PATCH_SCALE, 0)[:height].repeat(PATCH_SCALE, 1)[:, :width]
+                    for one in (part, region))
+    return np.where(labels == region, part, -1), int(is_part.sum())
 
 
 def fill_patches(labels: np.ndarray, patches: np.ndarray, planes: Planes, depth_m: np.ndarray,

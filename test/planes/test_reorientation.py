@@ -17,6 +17,7 @@ from plane_detector.evaluation.metrics import overlap, pure_errors
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.evaluation.scenes.rooms import attic, hexagon_room, random_room
 from plane_detector.evaluation.scenes.textures import ramp_room, rolled_room, textured
+from plane_detector.planes.classification import classify_planes
 from plane_detector.planes.measurement import measure_planes
 from plane_detector.planes.reorientation import (
     _at_likely_shift,
@@ -27,7 +28,7 @@ from plane_detector.planes.reorientation import (
 from plane_detector.segmentation.cells.grid import DisparityImage, build_cell_grid
 from plane_detector.segmentation.cells.model import PixelRegions
 from plane_detector.segmentation.segment import metric_noise_floor, segment
-from plane_detector.types import CameraIntrinsics, Plane, Planes
+from plane_detector.types import CameraIntrinsics, Plane, PlaneClass, Planes
 
 CONFIG = Config()
 
@@ -189,6 +190,30 @@ def test_pixels_that_a_level_plane_cannot_contain_have_no_label():
     assert plane.normal == pytest.approx([0, -1, 0], abs=0.02)
     assert np.array_equal(after.labels >= 0, ray_y > 0.02)
     assert np.linalg.norm(plane.centroid_m) < 50
+
+
+@pytest.mark.parametrize(('colours', 'is_parted'), [((1, 2), True), ((1, 1), False)])
+def test_an_upright_part_of_one_colour_is_cut_out_of_a_piece_without_a_class(colours, is_parted):
+    """A network shows the front of a cupboard and the floor before it as one bent surface."""
+    camera = CameraIntrinsics.from_field_of_view(160, 120, 60.0)
+    row = np.arange(120)[:, None]
+    ray_y = np.broadcast_to((row - camera.cy) / camera.fy, (120, 160))
+    is_front = np.broadcast_to(row < 72, (120, 160))
+    disparity = np.maximum(ray_y, (72 - camera.cy) / camera.fy) / 0.4  # of a floor 0.4 m below
+    image = DisparityImage(disparity.astype(np.float32), np.ones((120, 160), bool))
+    seen = np.stack([np.ones(120), row[:, 0] - 59.5], axis=1)
+    middle, slope = np.linalg.lstsq(seen, disparity[:, 0], rcond=None)[0]
+    regions = PixelRegions(
+        image.values, np.zeros((120, 160), np.int32), np.array([[0, 160 * slope, middle]]),
+        build_cell_grid(image), metric_noise_floor(CONFIG, 0.01),
+        patches=np.where(is_front[::4, ::4], *colours).astype(np.int32))
+    planes, labels = measure_reoriented(regions, camera, 100, upright_axes(camera))
+    down = np.array([0.0, 1.0, 0.0])
+    is_wall = classify_planes(planes, down) == PlaneClass.WALL
+    assert is_wall.any() == is_parted
+    if is_parted:
+        assert np.array_equal(np.isin(labels, is_wall.nonzero()[0]), is_front)
+        assert planes[int(is_wall.argmax())].normal == pytest.approx([0, 0, -1], abs=0.02)
 
 
 @pytest.mark.parametrize(('median_deg', 'is_taken'), [(0.1, True), (6.0, True), (14.0, False)])
