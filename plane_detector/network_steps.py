@@ -49,9 +49,9 @@ class NetworkSteps:
         """Return the pixels of each plane, in the unit of the network."""
         floor = _noise_floor(observation, config)
         if config.segmentation.method == 'paper':
-            if observation.output in UNITLESS:
+            if observation.prediction.output in UNITLESS:
                 raise ValueError('segmentation.method paper needs depth in metres, but the '
-                                 f'network gives {observation.output}')
+                                 f'network gives {observation.prediction.output}')
             return segment_by_paper(observation.disparity, observation.intrinsics, floor, config)
         snaps = config.segmentation.snap_to_picture and observation.edge_blur_px > 0
         return segment(observation.disparity, floor, config,
@@ -65,7 +65,7 @@ class NetworkSteps:
         """Return scale and shift to metres, and a note on a change with this image, if any."""
         evidence = ScaleEvidence(
             observation.disparity, lambda: ray_planes(regions, observation.intrinsics),
-            observation.output, surroundings.gravity.gravity_camera,
+            observation.prediction.output, surroundings.gravity.gravity_camera,
             surroundings.gravity.tolerance_deg, surroundings.level_axes, surroundings.open_axes,
             observation.sensor_depth_m)
         self._scale = update_scale(self._scale, estimate_scale(evidence, config.scale),
@@ -102,7 +102,7 @@ class NetworkSteps:
 
 def _noise_floor(observation: Observation, config: Config) -> Noise:
     """Return the lower bound of the noise, in the unit of the disparity."""
-    if observation.output not in UNITLESS and (
+    if observation.prediction.output not in UNITLESS and (
             config.segmentation.disparity_noise or not observation.noise_share):
         return metric_noise_floor(config, is_measured=False)
     return unitless_noise_floor(observation.disparity, observation.disparity_noise)
@@ -115,6 +115,7 @@ def _scaled_depth(observation: Observation, scale: ScaleEstimate, max_depth_m: f
 
     Unscaled metres are the same array, valid wherever the disparity was.
     """
-    if observation.output == 'metric_depth' and (scale.scale, scale.shift) == (1.0, 0.0):
-        return observation.prediction.values, False
+    prediction = observation.prediction
+    if prediction.output == 'metric_depth' and (scale.scale, scale.shift) == (1.0, 0.0):
+        return prediction.values, False
     return apply_scale(observation.disparity, scale, max_depth_m), True

@@ -270,7 +270,8 @@ class PlaneDetector:
             gravity_camera = measured_direction(gravity_camera)
         image = CameraImage(observation.rgb, observation.intrinsics, observation.covered,
                             observation.disparity,
-                            observation.output == 'relative_disparity', observation.stamp_s,
+                            observation.prediction.output == 'relative_disparity',
+                            observation.stamp_s,
                             is_measured=observation.is_measured,
                             is_lens_guessed=observation.intrinsics.is_guessed,
                             is_still=observation.is_measured or observation.is_still)

@@ -78,11 +78,6 @@ class Observation:
         span = f'{near_m:.4g} m' if near_m == far_m else f'{near_m:.4g} to {far_m:.4g} m'
         return f'{depths_m.size} pixels repeat the depth {span} exactly: they are no measurement'
 
-    @property
-    def output(self) -> str:
-        """Kind of the input, as in :class:`~plane_detector.types.Prediction`."""
-        return self.prediction.output
-
     def stated(self, **fields: object) -> Observation:
         """Return the observation with other fields than its prediction, whose disparity stays."""
         other = replace(self, **fields)
@@ -94,7 +89,7 @@ class Observation:
     def disparity(self) -> np.ndarray:
         """Disparity (H, W) float32, affine in 1/z, NaN invalid."""
         values = self.prediction.values
-        return to_disparity(values) if self.output in DEPTHS else values
+        return to_disparity(values) if self.prediction.output in DEPTHS else values
 
     @cached_property
     def disparity_noise(self) -> float:
@@ -249,7 +244,7 @@ class ModelDepth:
             disparity = cv2.resize(disparity, reduction.new_size,
                                    interpolation=cv2.INTER_NEAREST)
         self._average = filter_disparity(self._average, disparity, rgb, _DAMPING,
-                                         same_scale=seen.output not in UNITLESS)
+                                         same_scale=seen.prediction.output not in UNITLESS)
         if self._average.image_count == 1:
             return seen
         values = self._average.disparity
@@ -257,7 +252,7 @@ class ModelDepth:
             change = np.nan_to_num(values - disparity, copy=False)
             values = seen.disparity + cv2.resize(change, (width, height))
         return replace(seen.with_values(
-            to_depth(values) if seen.output in DEPTHS else values), is_still=True)
+            to_depth(values) if seen.prediction.output in DEPTHS else values), is_still=True)
 
 
 DepthSource = SensorDepth | ModelDepth

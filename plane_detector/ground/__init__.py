@@ -16,7 +16,7 @@ below. Planes determine the levels and slopes, pixels the objects on them. The s
    an edge across the view, as at the top of stairs seen by a rolled camera; otherwise it is the
    lowest level, as beside tables. If the floor is too rough for a plane, it is the level of the
    nearest pixels.
-3. Ground: the own floor and the surfaces that join it (`levels`). Two surfaces join if their
+3. Ground: the own floor and the surfaces that join it (`surfaces`). Two surfaces join if their
    planes have the same height along their common border in the image, which is not the case across
    a step or a jump in depth. Pieces of one level join even if something stands between them; so do
    pieces of a floor that a sensor bends by less than ``min_height``. Lower levels are ground too:

@@ -13,12 +13,20 @@ from plane_detector.config import Config
 from plane_detector.geometry.disparity import valid_depth
 from plane_detector.geometry.projection import pixel_rays
 from plane_detector.ground.along_ways import count_borders
-from plane_detector.ground.levels import are_flat, classes_of, ground_planes
 from plane_detector.ground.obstacles import find_fronts, without_box
 from plane_detector.ground.own_floor import SEEN_SHARE, own_floor, rough_floor, why_unseen
 from plane_detector.ground.seen_ground import SeenGround
 from plane_detector.ground.sensor_reach import NO_REACH, SensorReach
-from plane_detector.ground.surfaces import LEVEL_DEG, SIGMAS, SLOPE_MARGIN_DEG, Seen, Surfaces
+from plane_detector.ground.surfaces import (
+    LEVEL_DEG,
+    SIGMAS,
+    SLOPE_MARGIN_DEG,
+    Seen,
+    Surfaces,
+    are_flat,
+    classes_of,
+    ground_planes,
+)
 from plane_detector.ground.ways import Ways, ways_over_ground
 from plane_detector.planes.classification import classify_planes
 from plane_detector.planes.history import NO_HISTORY, PlaneHistory
