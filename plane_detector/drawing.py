@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Drawings of depth and planes. Labels are those of the messages: 0 is no plane."""
+"""Drawings of depth and planes. Labels are those of the messages: 0 means no plane."""
 
 from __future__ import annotations
 

@@ -449,7 +449,7 @@ def _with_height(config: Config, camera_height_m: float | None) -> Config:
     try:
         return replace(config, scale=replace(config.scale, camera_height=camera_height_m))
     except ValueError as error:
-        raise ValueError(f'camera_height_m {camera_height_m!r} is no height: {error}') from None
+        raise ValueError(f'camera_height_m {camera_height_m!r} is not a height: {error}') from None
 
 
 def _joined(notes: list[str]) -> str:

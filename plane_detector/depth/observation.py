@@ -76,7 +76,8 @@ class Observation:
         depths_m = self.constants_m[np.isfinite(self.constants_m)]
         near_m, far_m = depths_m.min(), depths_m.max()
         span = f'{near_m:.4g} m' if near_m == far_m else f'{near_m:.4g} to {far_m:.4g} m'
-        return f'{depths_m.size} pixels repeat the depth {span} exactly: they are no measurement'
+        return (f'{depths_m.size} pixels repeat the depth {span} exactly: they are not '
+                'measurements')
 
     def stated(self, **fields: object) -> Observation:
         """Return the observation with other fields than its prediction, whose disparity stays."""

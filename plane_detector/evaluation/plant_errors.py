@@ -329,7 +329,7 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
         ('MOST_CORRECTION_M = 0.2',
          'MOST_CORRECTION_M = 20', 'poses that run away are not reported'),
         ('way_m / TYPICAL_M', 'way_m * TYPICAL_M', 'drift of the rotation by the wrong distance'),
-        ('Prediction(before.lasting, pose, drift, drift',
+        ('Prediction(before.persistent, pose, drift, drift',
          'Prediction(RigidTransform.identity(), pose, drift, drift',
          'the correction is not carried on'),),
     'mapping/plane_map.py': (

@@ -75,7 +75,7 @@ def measured_direction(direction: Sequence[float] | np.ndarray) -> np.ndarray:
 
 def is_identity(quaternion: Sequence[float]) -> bool:
     """
-    Return whether a quaternion x y z w, of any length, is no rotation.
+    Return whether a quaternion x y z w, of any length, is the identity rotation.
 
     Examples
     --------

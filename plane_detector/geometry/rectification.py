@@ -100,7 +100,7 @@ def make_rectification(model: str, distortion: np.ndarray, camera_matrix: np.nda
     rotation = np.asarray(rotation, float) if np.any(rotation) else np.eye(3)
     with np.errstate(all='ignore'):
         if not (abs(rotation @ rotation.T - np.eye(3)) < _MOST_OFF_ROTATION).all():  # nor NaN
-            raise ValueError('R of the CameraInfo is no rotation')
+            raise ValueError('R of the CameraInfo is not a rotation')
     lens = cv2.fisheye if model == 'equidistant' else cv2
     map_x, map_y = lens.initUndistortRectifyMap(
         np.asarray(camera_matrix, float), np.asarray(distortion, float), rotation,

@@ -51,7 +51,8 @@ EDGE_GAP_M, EDGE_GAP_PX = 0.15, 24
 # view is false. The second is for depth images with a border without depth.
 VOID_NEAR_M, VOID_LENGTH_M = 3.0, 0.4
 # Of two imagers, one sees a strip at its side that the other does not, as wide as they are apart.
-# chosen: the widest of usual stereo cameras, 5 to 12 cm; rows beside are so many pixels away.
+# chosen: the widest of usual stereo cameras, 5 to 12 cm; neighbouring rows are this many pixels
+# away.
 BASELINE_M, BESIDE_PX = 0.12, 16
 # derived: a vertical riser leads from the near to the far level; looking down by 40 degrees, the
 # depth changes by this share of its height at most, a table's edge before the floor by more.

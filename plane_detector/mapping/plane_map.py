@@ -248,8 +248,8 @@ class PlaneMap:
 
     def _note_jitter(self, correction: Correction) -> None:
         """Average the difference of poses from the carried one over some twenty images."""
-        camera, lasting = correction.camera, correction.lasting.after(correction.pose)
-        off_m = np.linalg.norm(camera.translation_m - lasting.translation_m)
+        camera, persistent = correction.camera, correction.persistent.after(correction.pose)
+        off_m = np.linalg.norm(camera.translation_m - persistent.translation_m)
         self.jitter_m = float(np.sqrt(SMOOTHING * self.jitter_m**2 + (1 - SMOOTHING) * off_m**2))
 
     def _registered(self, prediction: Prediction, image: _Image) -> _Attempt:

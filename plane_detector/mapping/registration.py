@@ -53,7 +53,7 @@ class Correction:
 
     transform: RigidTransform  # for the last image, with its jitter
     error: np.ndarray  # (6, 6) covariance of that
-    lasting: RigidTransform  # without the jitter, to be carried on
+    persistent: RigidTransform  # without the jitter, to be carried on
     drift: np.ndarray  # (6, 6) covariance of that
     pose: RigidTransform | None = None  # of the camera in the last image, as it was given
 
@@ -106,15 +106,15 @@ def predict(before: Correction, pose: RigidTransform, config: MapConfig) -> Pred
     images.
     """
     if before.pose is None:
-        return Prediction(before.lasting, pose, before.drift, before.drift)
+        return Prediction(before.persistent, pose, before.drift, before.drift)
     way_m, turn_rad = motion(before.pose, pose)
-    moved_m = before.lasting.after(pose).translation_m - before.camera.translation_m
+    moved_m = before.persistent.after(pose).translation_m - before.camera.translation_m
     shift = np.eye(6)  # the same error, as a rotation about the camera's new position
     shift[3:, :3] = -_cross_matrix(moved_m)
     added = np.diag([turn_rad + way_m / TYPICAL_M**2] * 3 + [way_m] * 3) * config.pose_drift**2
     jitter = np.diag([TYPICAL_M**-2] * 3 + [1.0] * 3) * config.pose_jitter**2
     drift = shift @ before.drift @ shift.T + added
-    return Prediction(before.lasting, pose, drift, drift + jitter)
+    return Prediction(before.persistent, pose, drift, drift + jitter)
 
 
 def register(prediction: Prediction, found: Planes, frames: PlaneFrames, index: np.ndarray

@@ -45,7 +45,7 @@ def test_a_shift_of_the_poses_is_found():
     prediction = predict(standing(), RigidTransform.identity(), MapConfig(pose_jitter=0.0))
     found = register(prediction, seen, frames, np.arange(3))
     assert found.transform.translation_m == pytest.approx(-SHIFT.translation_m, abs=1e-3)
-    assert found.lasting.translation_m == pytest.approx(found.transform.translation_m, abs=1e-3)
+    assert found.persistent.translation_m == pytest.approx(found.transform.translation_m, abs=1e-3)
     assert found.size()[0] == pytest.approx(np.linalg.norm(SHIFT.translation_m), abs=1e-3)
     assert (np.diag(found.error) < np.diag(prediction.covariance)).all()
 
@@ -56,7 +56,7 @@ def test_jitter_corrects_its_image_only():
                          MapConfig(pose_jitter=0.02))
     found = register(prediction, planes.moved(SHIFT), frames, np.arange(3))
     assert found.transform.translation_m == pytest.approx(-SHIFT.translation_m, abs=1e-3)
-    assert np.linalg.norm(found.lasting.translation_m) < 1e-3
+    assert np.linalg.norm(found.persistent.translation_m) < 1e-3
 
 
 def test_along_a_single_wall_nothing_is_learnt():

@@ -342,7 +342,8 @@ def test_loops_that_cannot_be_compiled_later_are_said(robot, room, monkeypatch):
     monkeypatch.setattr(detector_node, 'compile_kernels', fail)
     monkeypatch.setattr(diagnostics, 'are_ready', lambda subject: False)
     start(robot, lambda rgb: room.depth_m, scale__gravity=room.gravity_camera.tolist())
-    assert robot.is_logged('no ground, obstacles and drops, whose kernels cannot be compiled')
+    assert robot.is_logged('no ground, obstacles and drops, because their kernels cannot be '
+                           'compiled')
     send(robot, room, 1.0)
     assert robot.wait_for('planes', 1)[-1].header == header(1.0)
     assert robot.spin(lambda: 'drops' in robot.diagnosis()[1])

@@ -180,7 +180,7 @@ def with_errors(poses: Sequence[RigidTransform], kind: str, rng: np.random.Gener
     Return poses as from odometry, in its own frame.
 
     ``exact``; ``drift``: 10 cm and 2 degrees over the walk; ``jitter``: 1 cm and .3 degrees, new
-    in each image; ``jump 10`` and ``jump 30``: so many cm at the half.
+    in each image; ``jump 10`` and ``jump 30``: a jump of 10 or 30 cm half-way.
     """
     direction, axis = (vector / np.linalg.norm(vector) for vector in rng.normal(size=(2, 3)))
     given = []

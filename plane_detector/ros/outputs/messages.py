@@ -4,7 +4,7 @@
 Conversion of the results of the core to messages, without state, and of clouds to arrays.
 
 Every output has the header of its image, so that stamp and optical frame (REP-103) are those of
-the image. Labels in messages are above 0; 0 is no plane.
+the image. Labels in messages are above 0; 0 means no plane.
 """
 
 from __future__ import annotations

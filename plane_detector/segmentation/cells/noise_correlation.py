@@ -34,7 +34,7 @@ MIN_REGION_CELLS = 100
 # chosen: bounds of the share that is independent from cell to cell, and of the correlation of
 # neighbouring cells.
 MIN_SHARE = 0.01
-# derived: 2 is a Gaussian, and with a larger power it is no covariance; sensors have about 1.
+# derived: 2 is a Gaussian; with a larger power it is not a covariance; sensors have about 1.
 MIN_POWER, MAX_POWER = 0.5, 2.0
 # The variance of the difference of two cells grows with a power of their distance. From 1 to 4
 # cells blurred noise has 1.37 to 1.55, frames of Kinects, of an ABW scanner and of simulated

@@ -103,7 +103,7 @@ def _best_label(labels, row, column, work, model, threshold2):
     Return the label of lowest energy of a cell, given those around it.
 
     All votes are -1 before and after. A cell whose neighbours all have its label keeps it. A cell
-    without depth goes with its neighbours.
+    without depth follows its neighbours.
     """
     (planes, table), (near, votes), (rows, columns) = model, work, labels.shape
     i, count = row * columns + column, 0

@@ -417,8 +417,8 @@ def grow_cluster(queue, end, start, grids, near):
     """
     Append the density cluster of a core to a queue of places; return where the queue ends.
 
-    Its cells are marked as taken, since a cell is in one cluster. If the start is no core, nothing
-    is appended.
+    Its cells are marked as taken, because a cell is in one cluster. If the start is not a core,
+    nothing is appended.
     """
     (labels, is_taken), (steps, min_samples), head, here = grids, near, end, start
     label = labels[start]

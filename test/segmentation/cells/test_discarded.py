@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Constants are no measurement, what is behind a mesh is no surface; walls and edges stay."""
+"""Constants and pixels behind a mesh are discarded; walls and edges stay."""
 
 import numpy as np
 import pytest
