@@ -123,8 +123,9 @@ def find_in_image(image: CameraImage, expected: Expected | None = None,
     surface, sides, by_depth = None, view.sides, ()
     if image.disparity is not None:
         inverse = usual_inverse_depth(image.disparity) if image.has_shift else image.disparity
-        surface = surface_normals(inverse, image.intrinsics)
-        sides = sides_of(surface, log_odds_down(image.disparity, surface, image.has_shift))
+        surface, is_step = surface_normals(inverse, image.intrinsics)
+        sides = sides_of(surface[~is_step],
+                         log_odds_down(image.disparity, surface, image.has_shift))
         if view.sides is not None:
             sides = view.sides.with_view(sides)
         by_depth = (sides.log_odds_down,

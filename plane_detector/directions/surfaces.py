@@ -23,9 +23,10 @@ from plane_detector.types import CameraIntrinsics
 # faces downwards, while walls on both sides are seen alike. The log likelihood that gravity points
 # to a side of the image is the log of the share of normals within FACING_DEG of it (of floors,
 # away from the camera) times one weight, less that of its opposite times the other.
-# tuned: 56 real frames, 48 rooms and corridors (seeds 8200 to 8211), each in four mountings: from
-# (0.3, 1.5) and (0.5, 2) to (0.7, 2) 38 to 41 real frames are answered upright, 2 turned wrong.
-FLOOR_WEIGHT, CEILING_WEIGHT, FACING_DEG, LEAST_SHARE = 0.7, 2.0, 41.4, 0.02
+# tuned: 77 real frames, 35 rooms and corridors (seeds from 8200), each in four mountings: 58 real
+# frames are answered upright, 4 of 231 turned ones and one of 75 turned corridors are wrong; at
+# (0.7, 1.5) and at (0.5, 2) with 0.03 three corridors are, at (0.3, 1.5) 51 are answered upright.
+FLOOR_WEIGHT, CEILING_WEIGHT, FACING_DEG, LEAST_SHARE = 0.5, 1.5, 41.4, 0.02
 # By the disparity: upright cameras see near surfaces at the bottom. The trend is the difference of
 # the medians of the lowest and the highest quarter of the image over the spread (10 to 90 %) of
 # all. Its density upright is normal, or as from above anywhere between -1 and 1. measured: .3 to 1
@@ -47,6 +48,9 @@ USUAL_RATIO, LARGEST, LARGEST_SPREAD = 0.43, 0.45, 0.13
 # chosen: a cell of 16 pixels in an image of 640, about a cell of the segmentation, half of it
 # valid.
 CELLS_PER_ROW, LEAST_VALID = 40, 0.5
+# A cell is on a step if the normals of its two sides differ by more than this: what stands before
+# a floor would else have a ceiling at its lower edge. tuned: as FLOOR_WEIGHT, flat from 30 to 50.
+STEP_DEG = 40.0
 # Normals within this angle of a normal with many neighbours are one surface, which has one vote if
 # it has this share of them; about this many are examined. tuned: with a vote for each normal 41 of
 # 56 answers in attics are wrong, as the slopes of a roof are larger than floor and gable, here 8
@@ -116,7 +120,7 @@ def sides_of(surface: np.ndarray, odds_down: float = 0.0) -> Sides:
     Parameters
     ----------
     surface : (N, 3) floating
-        Normals of the depth, as for :func:`log_odds_down`.
+        Normals of the depth, as for :func:`log_odds_down`, but for those on steps.
     odds_down : float
         As of :func:`log_odds_down`.
 
@@ -182,9 +186,12 @@ def mean_normals(normals: np.ndarray) -> np.ndarray:
     return np.array(found, float).reshape(-1, 3)
 
 
-def surface_normals(disparity: np.ndarray, intrinsics: CameraIntrinsics) -> np.ndarray:
+def surface_normals(disparity: np.ndarray,
+                    intrinsics: CameraIntrinsics) -> tuple[np.ndarray, np.ndarray]:
     """
     Return unit normals (N, 3) of the surface on a grid over the image, away from the camera.
+
+    Also returned is which of these cells (N,), bool, are on a step of the depth.
 
     Parameters
     ----------
@@ -196,7 +203,7 @@ def surface_normals(disparity: np.ndarray, intrinsics: CameraIntrinsics) -> np.n
     step = max(1, intrinsics.width // CELLS_PER_ROW)
     size = intrinsics.width // step, intrinsics.height // step
     if min(size) < 3:  # a normal needs a cell on each side
-        return np.zeros((0, 3))
+        return np.zeros((0, 3)), np.zeros(0, bool)
     every = 1 if step % 8 else 2  # pixel of a row; half of them are enough in large cells
     thinned = disparity[:size[1] * step:every, :size[0] * step:every]
     total, share = (
@@ -209,6 +216,25 @@ def surface_normals(disparity: np.ndarray, intrinsics: CameraIntrinsics) -> np.n
     # 1/z = p x + q y + r on a plane with a normal along (p, q, r).
     p = (inverse[1:-1, 2:] - inverse[1:-1, :-2]) * intrinsics.fx / (2 * step)
     q = (inverse[2:, 1:-1] - inverse[:-2, 1:-1]) * intrinsics.fy / (2 * step)
-    r = inverse[1:-1, 1:-1] - p * x - q * y[:, None]
-    normals = np.stack([p, q, r], axis=-1).reshape(-1, 3)
-    return np.nan_to_num(normals / np.linalg.norm(normals, axis=1, keepdims=True))
+    without_x, without_y = inverse[1:-1, 1:-1] - p * x, inverse[1:-1, 1:-1] - q * y[:, None]
+    normals = np.stack([p, q, without_x - q * y[:, None]], axis=-1).reshape(-1, 3)
+    normals = np.nan_to_num(normals / np.linalg.norm(normals, axis=1, keepdims=True))
+    along_x = np.diff(inverse[1:-1]) * intrinsics.fx / step
+    along_y = np.diff(inverse[:, 1:-1], axis=0) * intrinsics.fy / step
+    sides_x, sides_y = (along_x[:, :-1], along_x[:, 1:]), (along_y[:-1], along_y[1:])
+    least = math.cos(math.radians(STEP_DEG))
+    bends_x = _angle_cosine(q, *((p, without_y - p * x) for p in sides_x)) < least
+    bends_y = _angle_cosine(p, *((q, without_x - q * y[:, None]) for q in sides_y)) < least
+    is_step = bends_x | bends_y
+    # A step within a cell bends the surface on both sides of it.
+    is_step[:, 1:-1] |= bends_x[:, :-2] & bends_x[:, 2:]
+    is_step[1:-1] |= bends_y[:-2] & bends_y[2:]
+    return normals, is_step.ravel()
+
+
+def _angle_cosine(common: np.ndarray, *others: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+    """Return the cosine between two normals that share one component, by their other two."""
+    (x, z), (other_x, other_z) = others
+    square = common * common
+    return (x * other_x + square + z * other_z) / np.sqrt(
+        (x * x + square + z * z) * (other_x * other_x + square + other_z * other_z))

@@ -128,8 +128,21 @@ def test_a_mode_has_the_spread_of_its_verticals():
 def test_normals_of_a_floor_in_the_depth():
     y = ((np.arange(VGA.height) - VGA.cy) / VGA.fy)[:, None]
     disparity = np.broadcast_to(np.where(y > 0.1, y / 1.5, np.nan), (VGA.height, VGA.width))
-    normals = surface_normals(disparity, VGA)
+    normals = surface_normals(disparity, VGA)[0]
     assert np.mean(normals @ [0, 1, 0] > 0.999) > 0.25
+
+
+def test_what_stands_before_a_floor_has_no_ceiling_at_its_lower_edge():
+    column, row = np.meshgrid(np.arange(VGA.width), np.arange(VGA.height))
+    x, y = (column - VGA.cx) / VGA.fx, (row - VGA.cy) / VGA.fy
+    behind = np.maximum(1 / 4, y / 1.2)  # a wall at 4 m, the floor 1.2 m below the camera
+    board = (np.abs(x) < 0.3) & (np.abs(y - 0.1) < 0.15)
+    disparity = np.where(board, 1.0, behind)
+    normals, is_step = surface_normals(disparity, VGA)
+    floor, ahead = (normals @ axis > 0.99 for axis in ([0, 1, 0], [0, 0, 1]))
+    assert floor.mean() > 0.15 and ahead.mean() > 0.5 and is_step.mean() < 0.2
+    assert normals[~is_step, 1].min() > -0.2
+    assert normals[is_step, 1].min() < -0.9
 
 
 def test_a_normal_that_is_not_near_itself_does_not_keep_the_search_going():
