@@ -163,7 +163,7 @@ def segment_next(memory: Memory, disparity: np.ndarray, noise_floor: Noise, conf
     memory = memory.for_grid(grid)
     min_pixels = MIN_CELL_SHARE * config.segmentation.min_plane_share * image.values.size
     frame, regions = search_planes(Frame(image, grid, noise_floor, min_pixels, config, rng,
-                                         memory.hypotheses(grid)))
+                                         memory.hypotheses(grid)), memory)
     regions = compete_for_cells(frame, regions)
     correlation = (Correlation.of(frame.cells, regions, frame.noise)
                    if frame.kind is DepthKind.MEASURED else None)
@@ -175,7 +175,7 @@ def segment_next(memory: Memory, disparity: np.ndarray, noise_floor: Noise, conf
     else:
         found = _network(frame, regions)
     pieces, names, planes, curved = found
-    memory, labels = recall.after(pieces, names), rename_labels(pieces, names)
+    memory, labels = recall.after(pieces, names, frame.noise), rename_labels(pieces, names)
     patches = NO_PATCHES
     if guide is not None and guide.is_usable:
         seen = guide, image.values, grid.planes_in_pixels(planes), frame.noise

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a stream remembers of its planes: they stay, what comes is there at once, errors die."""
 
+from copy import deepcopy
 from dataclasses import replace
 from functools import cache
 
@@ -121,10 +122,10 @@ def test_a_standing_noisy_camera_keeps_its_planes():
 def test_segmentation_with_memory_is_pure():
     first, second = noisy([room()] * 2)
     _, memory = next_labels(NO_MEMORY, first)
-    before = [part.copy() for part in vars(memory).values()]
+    before = deepcopy(memory)
     one, other = (next_labels(memory, second)[0] for _ in range(2))
     np.testing.assert_array_equal(one, other)
-    for was, part in zip(before, vars(memory).values(), strict=True):
+    for was, part in zip(vars(before).values(), vars(memory).values(), strict=True):
         np.testing.assert_array_equal(part, was)
 
 
@@ -186,7 +187,7 @@ def remembered(memory, labels, planes):
 
 @pytest.mark.parametrize(('error', 'images'), [
     ('one plane', 1), ('curved', 1), ('cut', 1), ('shifted', 1), ('shifted by a row', 1),
-    ('another scene', 1), ('evidence', 10)])
+    ('another scene', 1), ('evidence', 10), ('noise', 10)])
 def test_a_wrong_memory_is_forgotten_within_so_many_images(error, images):
     depths = noisy([room()] * (images + 7), sigma=0.002)
     _, memory = next_labels(NO_MEMORY, depths[0])
@@ -206,6 +207,9 @@ def test_a_wrong_memory_is_forgotten_within_so_many_images(error, images):
     elif error == 'evidence':  # for two planes everywhere, of the most images
         wrong = replace(memory, evidence=np.ones_like(memory.evidence),
                         images=np.full_like(memory.images, 10))
+    elif error == 'noise':  # three times as much, of the most images
+        noise = replace(memory.noise, mean_sigma=3 * memory.noise.mean_sigma)
+        wrong = replace(memory, noise=noise, noise_images=10.0)
     else:
         wrong = next_labels(NO_MEMORY, noisy([room(303)])[0])[1]
     last, truth = labels_of(depths[1:], wrong)[images:], room().labels
@@ -224,6 +228,18 @@ def test_evidence_is_that_of_a_pair_and_counts_once_an_image():
         images.append(memory.images.max(initial=0))
     # The decision of the first image counts as one.
     assert images == [0, 2, 3, 4]
+
+
+def test_the_noise_is_the_mean_of_about_ten_images_of_one_scene():
+    depths, memory, images, means = noisy([room()] * 14, sigma=0.01), NO_MEMORY, [], []
+    for depth_m in depths + noisy([room(303)], sigma=0.01):
+        _, memory = next_labels(memory, depth_m)
+        images.append(memory.noise_images)
+        means.append(memory.noise.mean_sigma)
+    assert images[:2] == [0.0, 1.0] and 1.9 < images[2] <= 2.0
+    assert 8 < images[13] <= 10 and images[14] < 3
+    # It neither wanders off nor jumps.
+    assert max(means[5:14]) < 1.1 * min(means[5:14])
 
 
 @cache

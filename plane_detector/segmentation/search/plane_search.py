@@ -10,7 +10,8 @@ Search for the planes and the noise together, since each is needed to find the o
    the new noise as long as the planes explain more, because an image may have two noise levels
    that agree with their own planes, and chance would decide between them;
 3. the growth of the residuals with distance shows the systematic part of the noise;
-4. the remaining planes are found with this noise, or all of them again if it has changed.
+4. the remaining planes are found with this noise, in a stream with its mean over the last images,
+   or all of them again if it differs.
 """
 
 from __future__ import annotations
@@ -45,6 +46,7 @@ from plane_detector.segmentation.cells.noise_correlation import (
     bending_of,
     in_large_regions,
 )
+from plane_detector.segmentation.memory import NO_MEMORY, Memory
 from plane_detector.segmentation.search.ransac import MAX_TRIALS, add_planes, no_planes
 
 # Too high a start hides planes; too low a start is corrected from the planes.
@@ -61,11 +63,12 @@ TOLERANCE = 0.1
 MIN_CREASE_DEG = 35.0
 
 
-def search_planes(frame: Frame) -> tuple[Frame, PlaneRegions]:
+def search_planes(frame: Frame, memory: Memory = NO_MEMORY) -> tuple[Frame, PlaneRegions]:
     """
     Find planes and noise; return the frame with this noise, and the planes.
 
-    The floors and the ``source_sigma`` of the noise given bound the noise from below.
+    The floors and the ``source_sigma`` of the noise given bound the noise from below. With a
+    memory it is the mean of the last images.
     """
     grid, most = frame.grid, frame.config.segmentation.max_planes
     roughness = roughness_of(frame.image.values, frame.image.valid, grid.slope, grid.size_px,
@@ -90,8 +93,11 @@ def search_planes(frame: Frame) -> tuple[Frame, PlaneRegions]:
         trial = replace(frame, noise=noise)
     if _differs(noise.with_bending(MAX_BENDING), noise, floor):
         noise = noise.with_bending(bending_of(frame.cells, regions, noise))
+    noise = memory.average_noise(grid, noise)
     if _differs(noise, frame.noise, floor):
         frame, regions = replace(frame, noise=noise), no_planes(grid)
+    elif len(memory.planes):  # in a stream no jump of up to the tolerance
+        frame = replace(frame, noise=noise)
     return frame, add_planes(frame, regions, most)
 
 
