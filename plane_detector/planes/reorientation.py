@@ -191,7 +191,7 @@ def _with_upright_parts(regions: PixelRegions, planes: Planes, found: Orientatio
         samples, colours_in_regions(labels, regions.patches, len(measured)))
     taken = np.flatnonzero((np.abs(oriented.normals @ down) <= np.sin(np.radians(TOLERANCE_DEG)))
                            & (oriented.class_probability >= MIN_ORIENTED_PROBABILITY)
-                           & (oriented.probability > MIN_PROBABILITY))
+                           & (oriented.probability >= MIN_ORIENTED_PROBABILITY))
     if not taken.size:
         return None
     index = np.full(len(measured) + 1, -1, np.int32)
