@@ -317,18 +317,27 @@ def lost_planes(before: np.ndarray, after: np.ndarray,
 
 
 def blinking(draw: Draw) -> Values:
-    """Return how many planes of a still frame are lost between draws of new noise."""
-    lost = []
+    """Return how often planes of a still frame are lost between draws of new noise."""
+    values: Values = {f'blinking of still frames{how}: {what}': [] for how in ('', ', memory')
+                      for what in ('planes lost per image', 'pairs that lose a plane')}
     for frame in _labelled(draw.data)[draw.part::2]:
         if frame.set_name != OF_TODAY:
             continue
-        rng, labels, seen = np.random.default_rng(draw.seed), [], np.isfinite(frame.depth_m)
-        for _ in range(BLINKING_DRAWS):
-            noisy_m = frame.depth_m * (1 + NOISE_SHARE * rng.standard_normal(frame.depth_m.shape))
-            labels.append(segment_planes(noisy_m.astype(np.float32), frame.intrinsics).labels)
-        pairs = list(zip(labels[:-1], labels[1:], strict=True))
-        lost.append(np.mean([lost_planes(*pair, seen)[0] for pair in pairs]))
-    return {'blinking of still frames: planes lost per image': lost}
+        rng, seen = np.random.default_rng(draw.seed), np.isfinite(frame.depth_m)
+        noisy_m = [(frame.depth_m * (1 + NOISE_SHARE * rng.standard_normal(seen.shape))
+                    ).astype(np.float32) for _ in range(BLINKING_DRAWS)]
+        stream, black = PlaneDetector(seeded(draw.seed)), np.zeros((*seen.shape, 3), np.uint8)
+        camera = frame.intrinsics
+        for how, labels in (
+                ('', [segment_planes(depth_m, camera).labels for depth_m in noisy_m]),
+                (', memory', [stream.detect(black, camera, depth_m, stamp_s=k / 30).labels
+                              for k, depth_m in enumerate(noisy_m)])):
+            lost = [lost_planes(before, after, seen)[0]
+                    for before, after in zip(labels[:-1], labels[1:], strict=True)]
+            for what, value in (('planes lost per image', np.mean(lost)),
+                                ('pairs that lose a plane', np.mean(np.array(lost) > 0))):
+                values[f'blinking of still frames{how}: {what}'].append(float(value))
+    return values
 
 
 def video(draw: Draw) -> Values:
@@ -384,8 +393,10 @@ MEASUREMENTS = (
     Measurement('steps', small_steps, {'steps of 1 to 5 cm: told apart': HIGHER,
                                        'surfaces beside them: whole': HIGHER}, draws=4,
                 needs=('data',)),
-    Measurement('blinking', blinking, {'blinking of still frames: planes lost per image': LOWER},
-                draws=2, parts=(0, 1), needs=('data',)),
+    Measurement('blinking', blinking, {
+        f'blinking of still frames{how}: {what}': LOWER for how in ('', ', memory')
+        for what in ('planes lost per image', 'pairs that lose a plane')},
+        draws=2, parts=(0, 1), needs=('data',)),
     *(Measurement('blinking', video, {f'{name}: planes lost per image': LOWER,
-                                      f'{name}: labels switched per image': LOWER}, draws=2,
+                                      f'{name}: labels switched per image': LOWER}, draws=12,
                   parts=(name,), needs=('data',)) for name in VIDEOS))
