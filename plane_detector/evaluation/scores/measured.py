@@ -43,11 +43,12 @@ from plane_detector.evaluation.datasets import (
 from plane_detector.evaluation.metrics import overlap, pure_errors, segmentation_covering
 from plane_detector.evaluation.peers import plane_array
 from plane_detector.evaluation.scenes.misleading import KINDS, misleading_image
+from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.evaluation.scenes.rendering import Scene, camera_rotation, render
-from plane_detector.evaluation.scenes.rooms import furnished_room
+from plane_detector.evaluation.scenes.rooms import corridor, furnished_room
 from plane_detector.evaluation.scenes.sensor_cases import SENSOR_CASES
 from plane_detector.evaluation.scenes.sensors import SENSORS
-from plane_detector.evaluation.scenes.textures import room_from_above
+from plane_detector.evaluation.scenes.textures import room_from_above, textured
 from plane_detector.evaluation.scores.classes import class_shares, classes_of_planes
 from plane_detector.evaluation.scores.table import HIGHER, LOWER, Draw, Measurement, Values
 from plane_detector.types import CameraIntrinsics
@@ -258,6 +259,32 @@ def misleading(draw: Draw) -> Values:
             'misleading pictures: SC lost to the depth alone': values['lost']}
 
 
+def corridors(draw: Draw) -> Values:
+    """Return errors of planes in corridors by a good network, with its camera in four turns."""
+    scene, worst, lost = textured(corridor, draw.seed), [], []
+    depth_m = with_disparity_noise(scene.depth_m, 0.004, np.random.default_rng([draw.seed, 2]),
+                                   0.9, 24.0)
+    for quarters in range(4):
+        rgb, own_m, labels = (np.ascontiguousarray(np.rot90(values, quarters))
+                              for values in (scene.rgb, depth_m, scene.labels))
+        planes, camera = scene.planes, scene.intrinsics
+        for _ in range(quarters):
+            planes = np.column_stack([planes[:, 1], -planes[:, 0], planes[:, 2:]])
+            camera = CameraIntrinsics(camera.fy, camera.fx, camera.cy,
+                                      camera.width - 1 - camera.cx, camera.height, camera.width)
+        for output, values in (('metric_depth', own_m),
+                               ('relative_disparity', 3 / own_m + np.float32(0.2))):
+            model = DepthFunction(lambda rgb, values=values: values, output,
+                                  noise_share=0.01, blur_px=3)
+            found = PlaneDetector(seeded(draw.seed, 'model'), model).detect(rgb, camera)
+            shared = overlap(labels, found.labels, np.isfinite(own_m))
+            worst.append(pure_errors(shared, planes, plane_array(found))[0].max(initial=0.0))
+            large = shared.counts[:-1].sum(axis=1) > 0.02 * labels.size
+            lost.append(np.count_nonzero(shared.iou[large].max(axis=1, initial=0.0) < 0.5))
+    return {'corridors by a network: worst plane (deg)': worst,
+            'corridors by a network: surfaces lost per image': lost}
+
+
 def _errors(scene: Scene, found) -> tuple[np.ndarray, float]:
     shared = overlap(scene.labels, found.labels, np.isfinite(scene.depth_m))
     return (pure_errors(shared, scene.planes, plane_array(found))[0],
@@ -380,6 +407,9 @@ MEASUREMENTS = (
         'misleading pictures, exact depth: worst plane (deg)': LOWER,
         'misleading pictures: planes turned from the depth alone (deg)': LOWER,
         'misleading pictures: SC lost to the depth alone': LOWER}, draws=8),
+    Measurement('measured', corridors, {
+        'corridors by a network: worst plane (deg)': LOWER,
+        'corridors by a network: surfaces lost per image': LOWER}, draws=8),
     Measurement('cameras', mounted, {
         f'{name}: {what}': better for name in (
             'upright camera', 'turned by 90', 'turned by 180', 'turned by 270', 'from above')
