@@ -9,7 +9,7 @@ import pytest
 from node_helpers import small_room
 from ros_helpers import camera_info_msg, image_msg
 
-from plane_detector.config import Config, DepthConfig, NodeConfig
+from plane_detector.config import Config, DepthConfig, DirectionsConfig, NodeConfig
 from plane_detector.directions import finder
 from plane_detector.ground import seen_ground
 from plane_detector.pipeline import PlaneDetector
@@ -132,9 +132,10 @@ def sought(monkeypatch):
 
 
 def process(stamps_s, noise, is_turned, wanted=()):
-    """Process noisy frames of the room; those for which is_turned(k) is true are mirrored."""
-    processor = FrameProcessor(PlaneDetector(Config(depth=DepthConfig(source='topic'))),
-                               NodeConfig(), 'image')
+    """Process noisy frames of the room, upside down where is_turned(k) is true."""
+    processor = FrameProcessor(PlaneDetector(Config(
+        depth=DepthConfig(source='topic'), directions=DirectionsConfig(mounting='upright'))),
+        NodeConfig(), 'image')
     rng = np.random.default_rng(0)
     for k, stamp_s in enumerate(stamps_s):
         disparity = 1 / ROOM.depth_m + noise * rng.standard_normal(ROOM.depth_m.shape)

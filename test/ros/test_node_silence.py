@@ -113,7 +113,7 @@ def test_lost_images_are_counted_and_reported_with_the_remedy(robot, room):
         if index % 5 not in (1, 3):
             robot.publish('image', image_msg(room.rgb, 'rgb8', index / 15))
         robot.settle()
-    assert robot.is_logged('% of the images on /image are missing: /camera_info brings more')
+    assert robot.is_logged('% of the images on /image are missing: /camera_info has more')
     assert 'config/fastdds_large_messages.xml' in robot.log()
     images, _, infos, *_ = robot.diagnosis()[1]['images_received'].replace(',', '').split()
     assert int(images) <= 0.8 * int(infos)
@@ -364,7 +364,7 @@ def test_of_many_calls_most_are_answered_at_once():
     requests = FrameRequests(lambda: None)
     futures = [requests.add() for _ in range(MOST_CALLS + 3)]
     assert [future.done() for future in futures] == [False] * MOST_CALLS + [True] * 3
-    assert futures[-1].result() == (False, '16 calls are waiting for a frame already')
+    assert futures[-1].result() == (False, '16 calls are already waiting for a frame')
     requests.refuse_all('over')
     assert {future.result() for future in futures[:MOST_CALLS]} == {(False, 'over')}
     assert not requests.add().done()
