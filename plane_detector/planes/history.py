@@ -41,10 +41,10 @@ class PlaneHistory:
 
     def of(self, planes: Planes, camera: CameraIntrinsics) -> PlaneHistory:
         """Return the history for the planes of the next image, by their labels."""
-        rows = {label: row for row, label in enumerate(self.labels.tolist())}
-        none = len(rows)
-        row = np.array([rows.get(label, none) if camera == self.camera else none
-                        for label in planes.labels.tolist()], int)
+        known = self.labels.tolist() if camera == self.camera else []
+        rows = {label: row for row, label in enumerate(known)}
+        row = np.array([rows.get(label, len(self.labels)) for label in planes.labels.tolist()],
+                       int)
         return PlaneHistory(planes.labels, *(np.append(column, none)[row] for column, none in (
             (self.images, 0), (self.confidences, np.nan), (self.cosines, np.nan),
             (self.classes, np.uint8(PlaneClass.UNKNOWN)))), camera)

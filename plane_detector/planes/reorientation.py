@@ -94,7 +94,7 @@ def reorient(regions: PixelRegions, planes: Planes, lines: ImageDirections,
         Of the image, with a main axis.
     intrinsics : CameraIntrinsics
     shift_rad : float
-        Error of normals by an uncertain shift of the disparity.
+        Error of normals due to an uncertain shift of the disparity.
     min_pixels : float
         No part of a region has fewer pixels.
 
@@ -106,7 +106,6 @@ def reorient(regions: PixelRegions, planes: Planes, lines: ImageDirections,
 
     """
     samples = sample_regions(regions, planes, intrinsics)
-    normals, offsets = planes.normals.copy(), planes.offsets_m.copy()
     beside = lines_in_regions(lines.segments, regions.labels, len(planes))
 
     def scored(axes: ImageDirections, turned: Planes) -> ScoredOrientations:
@@ -139,7 +138,7 @@ def reorient(regions: PixelRegions, planes: Planes, lines: ImageDirections,
     if with_parts is not None:
         regions, planes, found = with_parts
         samples = sample_regions(regions, planes, intrinsics)
-        normals, offsets = planes.normals.copy(), planes.offsets_m.copy()
+    normals, offsets = planes.normals.copy(), planes.offsets_m.copy()
     refitted = samples.offsets(found.normals)
     changed = found.is_changed & np.isfinite(refitted)
     normals[changed], offsets[changed] = found.normals[changed], refitted[changed]

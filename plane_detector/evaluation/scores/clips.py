@@ -23,6 +23,9 @@ from plane_detector.types import CameraIntrinsics
 
 _GRAVITY = json.loads(Path(__file__).with_name('gravity.json').read_text())
 
+# Directions in the frame of a camera that is turned about its axis by a quarter turn.
+QUARTER_TURN = np.array([[0, 1, 0], [-1, 0, 0], [0, 0, 1]])
+
 
 @dataclass(frozen=True)
 class Shot:
@@ -38,10 +41,11 @@ class Shot:
         """Return the view of a camera that is turned about its axis by quarter turns."""
         shot = self
         for _ in range(quarters % 4):
-            camera, (x, y, z) = shot.intrinsics, shot.down
+            camera = shot.intrinsics
             shot = replace(
                 shot, rgb=np.ascontiguousarray(np.rot90(shot.rgb)),
-                depth_m=np.ascontiguousarray(np.rot90(shot.depth_m)), down=np.array([y, -x, z]),
+                depth_m=np.ascontiguousarray(np.rot90(shot.depth_m)),
+                down=QUARTER_TURN @ shot.down,
                 intrinsics=CameraIntrinsics(camera.fy, camera.fx, camera.cy,
                                             camera.width - 1 - camera.cx, camera.height,
                                             camera.width))

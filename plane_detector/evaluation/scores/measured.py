@@ -50,6 +50,7 @@ from plane_detector.evaluation.scenes.sensor_cases import SENSOR_CASES
 from plane_detector.evaluation.scenes.sensors import SENSORS
 from plane_detector.evaluation.scenes.textures import room_from_above, textured
 from plane_detector.evaluation.scores.classes import class_shares, classes_of_planes
+from plane_detector.evaluation.scores.clips import QUARTER_TURN, Shot
 from plane_detector.evaluation.scores.table import HIGHER, LOWER, Draw, Measurement, Values
 from plane_detector.types import CameraIntrinsics
 
@@ -264,19 +265,17 @@ def corridors(draw: Draw) -> Values:
     scene, worst, lost = textured(corridor, draw.seed), [], []
     depth_m = with_disparity_noise(scene.depth_m, 0.004, np.random.default_rng([draw.seed, 2]),
                                    0.9, 24.0)
+    shot = Shot(scene.rgb, depth_m, scene.intrinsics, scene.gravity_camera, 0.0)
     for quarters in range(4):
-        rgb, own_m, labels = (np.ascontiguousarray(np.rot90(values, quarters))
-                              for values in (scene.rgb, depth_m, scene.labels))
-        planes, camera = scene.planes, scene.intrinsics
-        for _ in range(quarters):
-            planes = np.column_stack([planes[:, 1], -planes[:, 0], planes[:, 2:]])
-            camera = CameraIntrinsics(camera.fy, camera.fx, camera.cy,
-                                      camera.width - 1 - camera.cx, camera.height, camera.width)
+        view, labels = shot.turned(quarters), np.rot90(scene.labels, quarters)
+        own_m, planes = view.depth_m, scene.planes.copy()
+        planes[:, :3] = planes[:, :3] @ np.linalg.matrix_power(QUARTER_TURN, quarters).T
         for output, values in (('metric_depth', own_m),
                                ('relative_disparity', 3 / own_m + np.float32(0.2))):
             model = DepthFunction(lambda rgb, values=values: values, output,
                                   noise_share=0.01, blur_px=3)
-            found = PlaneDetector(seeded(draw.seed, 'model'), model).detect(rgb, camera)
+            found = PlaneDetector(seeded(draw.seed, 'model'), model).detect(
+                view.rgb, view.intrinsics)
             shared = overlap(labels, found.labels, np.isfinite(own_m))
             worst.append(pure_errors(shared, planes, plane_array(found))[0].max(initial=0.0))
             large = shared.counts[:-1].sum(axis=1) > 0.02 * labels.size
