@@ -59,7 +59,7 @@ class DepthEstimator:
                     config, self.provider == ON_CUDA)
                 if content is None:
                     check_file(self._path)
-                self._session = OnnxSession(self._path, content, self.provider, config.threads,
+                self._session = OnnxSession(self._path, content, self.provider, config,
                                             self._network)
                 arrays = self._run(rgb)
                 break

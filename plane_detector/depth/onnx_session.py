@@ -15,6 +15,7 @@ import numpy as np
 import onnxruntime as ort
 
 from plane_detector._runtime.stopping import current_stop, raise_if_stopped
+from plane_detector.config import DepthConfig
 from plane_detector.depth.networks import Network
 from plane_detector.depth.preprocessing import lower_bound_size
 
@@ -27,15 +28,13 @@ _INPUT_TYPES = {'tensor(float)': np.float32, 'tensor(float16)': np.float16,
 MIN_SIDE_PX = 64
 RUNTIME = f'ONNX Runtime {ort.__version__}'
 ON_CUDA = 'CUDAExecutionProvider'
-# Settings of execution providers. By default CUDA tries every algorithm for each convolution,
-# which stops the stream for up to a second whenever the input has a new size; the one that cuDNN
-# predicts is about as fast. Memory grows by the required amount instead of by powers of two, up to
-# a limit: on a Jetson all programs share it.
-# chosen: 2.5 times what Depth Anything V2 small takes at 924 x 518.
-CUDA_MEMORY_BYTES = 4 << 30
-_SETTINGS = {ON_CUDA: {
-    'cudnn_conv_algo_search': 'HEURISTIC', 'arena_extend_strategy': 'kSameAsRequested',
-    'gpu_mem_limit': str(CUDA_MEMORY_BYTES)}}
+# By default CUDA tries every algorithm for each convolution, which stops the stream for up to a
+# second whenever the input has a new size; the one that cuDNN predicts is about as fast. Memory
+# grows by the required amount instead of by powers of two.
+_CUDA_SETTINGS = {'cudnn_conv_algo_search': 'HEURISTIC',
+                  'arena_extend_strategy': 'kSameAsRequested'}
+# Parts of the messages of ONNX Runtime, CUDA and cuDNN if the GPU has not enough memory.
+_NO_MEMORY = ('allocate memory', 'smaller than requested', 'out of memory', 'ALLOC_FAILED')
 _LIBRARIES = {ON_CUDA: 'cuda', 'TensorrtExecutionProvider': 'tensorrt'}
 _GPU_PACKAGE = "pip install 'onnxruntime-gpu[cuda,cudnn]'"
 
@@ -104,7 +103,7 @@ class OnnxSession:
     One ONNX Runtime session that takes (3, H, W) float32 and returns arrays.
 
     It loads the content if given, else the file. The network states what the file does not: other
-    inputs, required outputs, the input size. With 0 threads, ONNX Runtime chooses their number.
+    inputs, required outputs, the input size. The settings give the threads and the memory.
 
     Raises
     ------
@@ -115,10 +114,10 @@ class OnnxSession:
 
     """
 
-    def __init__(self, path: Path, content: bytes | None, provider: str, threads: int,
+    def __init__(self, path: Path, content: bytes | None, provider: str, config: DepthConfig,
                  network: Network) -> None:
-        self._session = _load(str(path) if content is None else content, provider, threads)
-        self._path = path
+        self._session = _load(str(path) if content is None else content, provider, config)
+        self._path, self._config = path, config
         self._network = network
         self._input = self._image_input()
         self._scalars = self._scalar_inputs()
@@ -155,8 +154,11 @@ class OnnxSession:
                 arrays = self._run({self._input.name: tensor, **self._scalars}, options)
         except Exception as error:  # onnxruntime's exceptions have no common base class
             raise_if_stopped()
+            if said := _lack_of_memory(error, self._config):
+                raise ProviderError(f'an input of shape {tensor.shape} needs more memory: '
+                                    f'{said}') from error
             raise ProviderError(f'an input of shape {tensor.shape} fails, {_short(error)}. '
-                                 f'The network has {self._ends_text()}') from error
+                                f'The network has {self._ends_text()}') from error
         for name, array in zip(self._outputs, arrays, strict=True):
             if array.size == 0:
                 raise self.misfit(f'its output {name} is {array.shape}, which is empty')
@@ -241,10 +243,10 @@ class OnnxSession:
                 f'outputs: {text(self._session.get_outputs())}')
 
 
-def _load(file: str | bytes, provider: str, threads: int) -> ort.InferenceSession:
+def _load(file: str | bytes, provider: str, config: DepthConfig) -> ort.InferenceSession:
     """Load a network for one provider; operators that it lacks run on the CPU."""
     options = ort.SessionOptions()
-    options.intra_op_num_threads = threads
+    options.intra_op_num_threads = config.threads
     options.use_deterministic_compute = True
     # Otherwise threads spin while they wait for each other or for the next image, and take cores
     # from the other stages: 15 ms of core time for fastdepth instead of 8.
@@ -255,10 +257,10 @@ def _load(file: str | bytes, provider: str, threads: int) -> ort.InferenceSessio
         with current_stop().calling(lambda: options.set_load_cancellation_flag(True)):
             session = ort.InferenceSession(
                 file, options, providers=providers, enable_fallback=0,
-                provider_options=[_SETTINGS.get(name, {}) for name in providers])
+                provider_options=[_settings(name, config) for name in providers])
     except Exception as error:  # onnxruntime's exceptions have no common base class
         raise_if_stopped()
-        raise ProviderError(_short(error)) from error
+        raise ProviderError(_lack_of_memory(error, config) or _short(error)) from error
     # ONNX Runtime silently skips a provider that it cannot set up.
     if session.get_providers()[0] != provider:
         raise ProviderError('its libraries are there, but ONNX Runtime cannot set it up: is the '
@@ -266,6 +268,21 @@ def _load(file: str | bytes, provider: str, threads: int) -> ort.InferenceSessio
     session.disable_fallback()
     session._model_bytes = None  # else it keeps the file in memory; no public name for it
     return session
+
+
+def _settings(provider: str, config: DepthConfig) -> dict[str, str]:
+    """Return the settings of a provider; by default CUDA may use all memory."""
+    if provider != ON_CUDA:
+        return {}
+    return {**_CUDA_SETTINGS, 'gpu_mem_limit': str(round(config.gpu_memory * 2**30))}
+
+
+def _lack_of_memory(error: Exception, config: DepthConfig) -> str:
+    """Return what to do if an error says that the GPU has not enough memory, else nothing."""
+    if not any(sign in str(error) for sign in _NO_MEMORY):
+        return ''
+    return (f'the GPU has none left (nvidia-smi shows it), or depth.gpu_memory, now '
+            f'{config.gpu_memory:g} GiB, is too small: increase it, or reduce depth.short_side')
 
 
 def _short(error: Exception) -> str:

@@ -15,7 +15,7 @@ from slow_networks import HEIGHT, WIDTH, write_slow_network
 
 from plane_detector._runtime.stopping import Background, Stopped
 from plane_detector.config import DepthConfig
-from plane_detector.depth import onnx_session
+from plane_detector.depth import estimator, onnx_session
 from plane_detector.depth.estimator import DepthEstimator
 from plane_detector.depth.networks import NETWORKS, default_cache_dir
 from plane_detector.depth.onnx_session import ProviderError, check_provider
@@ -107,6 +107,80 @@ def test_what_a_provider_lacks_is_named(tmp_path, monkeypatch):
         with pytest.raises(ProviderError, match=f'{missing}: cannot open.*{remedy}'):
             check_provider(f'{provider}ExecutionProvider')
     onnx_session._missing_library.cache_clear()
+
+
+class OnGpu:
+    """A session on the CPU that says that it is on a GPU, and fails if it is told to."""
+
+    def __init__(self, make, error):
+        self.make, self.error, self.settings, self.on_device = make, error, {}, []
+
+    def __call__(self, file, options, *, providers, provider_options, enable_fallback):
+        self.settings = dict(zip(providers, provider_options, strict=True))
+        self.session = self.make(file, options, providers=['CPUExecutionProvider'])
+        return self
+
+    def __getattr__(self, name):
+        return getattr(self.session, name)
+
+    def get_providers(self):
+        return ['CUDAExecutionProvider', 'CPUExecutionProvider']
+
+    def io_binding(self):
+        binding = self.session.io_binding()
+        bind_output = binding.bind_output
+
+        def bind_to_device(name, device):
+            self.on_device.append(device)
+            bind_output(name)
+        binding.bind_output = bind_to_device
+        return binding
+
+    def run_with_iobinding(self, binding, options):
+        if self.error:
+            raise RuntimeError(self.error)
+        self.session.run_with_iobinding(binding, options)
+
+
+@pytest.fixture
+def on_gpu(monkeypatch):
+    session = OnGpu(onnx_session.ort.InferenceSession, '')
+    monkeypatch.setattr(estimator, 'check_provider', lambda provider: None)
+    monkeypatch.setattr(onnx_session.ort, 'InferenceSession', session)
+    return session
+
+
+def test_a_gpu_gives_the_depth_and_its_memory_is_limited(tmp_path, on_gpu):
+    path, depth_m = write_depth_network(tmp_path / 'n.onnx', height=48, width=64), wavy_depth()
+    estimate = DepthEstimator(config_for(path, providers=('CUDAExecutionProvider',),
+                                         gpu_memory=1.5))
+    assert estimate.provider == 'CUDAExecutionProvider'
+    np.testing.assert_allclose(estimate(millimetres_as_rgb(depth_m)), depth_m, rtol=1e-5)
+    assert set(on_gpu.on_device) == {'cuda'}
+    assert on_gpu.settings['CUDAExecutionProvider']['gpu_mem_limit'] == str(3 << 29)
+    assert not on_gpu.settings['CPUExecutionProvider']
+
+
+@pytest.mark.parametrize('said', [
+    '[ONNXRuntimeError] : 6 : RUNTIME_EXCEPTION : Non-zero status code returned while running Mul '
+    'node. Name:"Mul_8702" Status Message: ' + '/onnxruntime/core/framework/' * 9 + 'bfc_arena.cc:'
+    '368 Failed to allocate memory for requested buffer of size 2830172160',
+    'Available memory of 0 is smaller than requested bytes of 2830172160',
+    'CUDA failure 2: out of memory ; GPU=0 ; hostname=robot',
+    'CUDNN failure 4: CUDNN_STATUS_ALLOC_FAILED'])
+def test_a_gpu_without_memory_is_named_with_what_to_do(tmp_path, on_gpu, said):
+    path = write_depth_network(tmp_path / 'n.onnx', height=48, width=64)
+    wanted = r'needs more memory.*nvidia-smi.*depth\.gpu_memory, now 4 GiB.*depth\.short_side'
+    estimate = DepthEstimator(config_for(path, providers=('CUDAExecutionProvider',)))
+    on_gpu.error = said
+    with pytest.raises(ValueError, match=wanted):
+        estimate(millimetres_as_rgb(wavy_depth()))
+    # When the node is configured, the next provider takes over, and the reason is stated.
+    with pytest.raises(ValueError, match=f'CUDAExecutionProvider does not run: .*{wanted}'):
+        DepthEstimator(config_for(path, providers=('CUDAExecutionProvider',)))
+    on_gpu.error = 'CUDA failure 700: an illegal memory access was encountered'
+    with pytest.raises(ValueError, match='fails, CUDA failure 700'):
+        estimate(millimetres_as_rgb(wavy_depth()))
 
 
 def test_a_file_that_is_not_a_network_is_refused(tmp_path):
