@@ -118,7 +118,7 @@ def classes_of(found: PlaneSegmentation, surfaces: Surfaces, above: np.ndarray, 
     is_sure_slope = np.append(are_certain(found.planes, surfaces.down, steepest_deg, past),
                               True)
     slopes_deg = np.append(np.degrees(np.arccos(np.clip(-past.cosines, -1, 1))), 0.0)
-    is_level = slopes_deg <= LEVEL_DEG + np.append(past.yields_deg(PlaneClass.RAMP, -1), 0.0)
+    is_level = slopes_deg <= LEVEL_DEG - np.append(past.yields_deg(PlaneClass.RAMP), 0.0)
     # Steps are reached from the ground, or from other steps; without metres there are none.
     is_step, linked = joined.copy(), risers >= MIN_JOINS
     near = is_level & (abs(above) <= step_range_m)

@@ -19,6 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from plane_detector._runtime.compilation import kernel
 from plane_detector.types import CameraIntrinsics
 
 # Ways are a pixel apart in this share of the largest distance from the nadir, or where the image
@@ -78,50 +79,66 @@ def ways_over_ground(intrinsics: CameraIntrinsics, down: np.ndarray) -> Ways:
     8
 
     """
-    nadir = (intrinsics.fx * down[0] + intrinsics.cx * down[2],
-             intrinsics.fy * down[1] + intrinsics.cy * down[2])
-    sides = intrinsics.width, intrinsics.height
+    nadir = (float(intrinsics.fx * down[0] + intrinsics.cx * down[2]),
+             float(intrinsics.fy * down[1] + intrinsics.cy * down[2]), float(down[2]))
     lines, count = [], 0
     for axis in (1, 0):  # lines are rows, columns
         for sign in (-1, 1):
-            sector, ways = _sector(axis, sign, sides, nadir, float(down[2]), count)
+            sector, ways = _sector((axis, sign, count), (intrinsics.width, intrinsics.height),
+                                   nadir)
             lines.append(sector)
             count += ways
     return Ways(np.concatenate(lines), count)
 
 
-def _sector(axis: int, sign: int, sides: tuple[int, int], nadir: tuple[float, float],
-            nadir_z: float, first: int) -> tuple[np.ndarray, int]:
+@kernel('Tuple((int64[:, ::1], int64))(UniTuple(int64, 3), UniTuple(int64, 2), '
+        'UniTuple(float64, 3))', is_short=True)
+def _sector(part, sides, nadir):
     """Return the lines and the number of ways of a sector, which are numbered from ``first``."""
-    across = 1 - axis
-    at = np.arange(sides[axis])[::sign]
-    # How far the ways are from the nadir, times nadir_z; at least half a pixel.
-    away = sign * (at * nadir_z - nadir[axis])
-    least = 0.5 * abs(nadir_z)
-    at, away = at[away >= -least * (sign < 0)], away[away >= -least * (sign < 0)]
-    away = np.maximum(away, max(least, 1e-9))
-    if abs(nadir_z) > 1e-6:
-        ends = (nadir[across] + np.outer((-1, 1), away)) / nadir_z
-        low, high = np.floor(ends.min(axis=0)), np.ceil(ends.max(axis=0)) + 1
-        low, high = np.clip([low, high], 0, sides[across]).astype(np.int64)
-    else:
-        low = np.zeros(len(at), np.int64)
-        high = np.where(abs(nadir[across]) <= away, sides[across], 0)
-    keep = low < high
-    at, away, low, high = at[keep], away[keep], low[keep], high[keep]
-    if not len(at):
-        return np.zeros((0, 10), np.int64), 0
-    reference = int(abs(away - max(away.min(), _REFERENCE_SHARE * away.max())).argmin())
-    spread = away / away[reference]
-    shift = sign * nadir[across] * (at[reference] - at) / away[reference]
-    start = np.floor(((low - 0.5 - shift) / spread).min())
-    begin = np.floor((low - 0.5 - shift) / spread) - start
-    unit = 1 << FRACTION_BITS
-    step = np.rint(spread * unit).astype(np.int64)
-    origin = np.rint((shift + spread * start + 0.5) * unit).astype(np.int64)
-    # Of the rounded steps: close to the nadir they are a few units, and thousands pass a line.
-    end = -((origin - high * unit) // step)
-    ways, zero, one = int(end.max()), np.zeros(len(at), np.int64), np.ones(len(at), np.int64)
-    place = (zero, at, one, zero) if axis else (at, zero, zero, one)
-    return np.column_stack([*place, origin - first * step, step, begin.astype(np.int64) + first,
-                            end + first, low, high]), ways
+    (axis, sign, first), nadir_z = part, nadir[2]
+    across, far = nadir[1 - axis], sides[1 - axis]
+    lines, away = np.zeros((sides[axis], 10), np.int64), np.empty(sides[axis])
+    # How far the ways are from the nadir, times nadir_z, is at least half a pixel.
+    n, least = 0, 0.5 * abs(nadir_z)
+    for i in range(len(lines)):
+        at = i if sign > 0 else len(lines) - 1 - i
+        off = sign * (at * nadir_z - nadir[axis])
+        if off < (-least if sign < 0 else 0.0):
+            continue
+        off, low, high = max(off, max(least, 1e-9)), 0.0, 0.0
+        if abs(nadir_z) > 1e-6:
+            one, other = (across - off) / nadir_z, (across + off) / nadir_z
+            low = min(max(np.floor(min(one, other)), 0.0), far)
+            high = min(max(np.ceil(max(one, other)) + 1, 0.0), far)
+        elif abs(across) <= off:
+            high = np.float64(far)
+        if low < high:
+            lines[n, V if axis else U], lines[n, DU if axis else DV] = at, 1
+            lines[n, LOW], lines[n, HIGH], away[n] = int(low), int(high), off
+            n += 1
+    if n == 0:
+        return lines[:0].copy(), 0
+    nearest, farthest = away[0], away[0]
+    for i in range(n):
+        nearest, farthest = min(nearest, away[i]), max(farthest, away[i])
+    wanted, reference = max(nearest, _REFERENCE_SHARE * farthest), 0
+    for i in range(n):
+        if abs(away[i] - wanted) < abs(away[reference] - wanted):
+            reference = i
+    of_reference, at = away[reference], lines[reference, V if axis else U]
+    shift, begin, start = np.empty(n), np.empty(n), np.inf
+    for i in range(n):
+        shift[i] = sign * across * (at - lines[i, V if axis else U]) / of_reference
+        begin[i] = (lines[i, LOW] - 0.5 - shift[i]) / (away[i] / of_reference)
+        start = min(start, np.floor(begin[i]))
+    ways, unit = np.int64(0), 1 << FRACTION_BITS
+    for i in range(n):
+        spread = away[i] / of_reference
+        step, origin = int(np.rint(spread * unit)), int(np.rint(
+            (shift[i] + spread * start + 0.5) * unit))
+        # Of the rounded steps: close to the nadir they are a few units, and thousands pass a line.
+        end = -((origin - lines[i, HIGH] * unit) // step)
+        ways = max(ways, end)
+        lines[i, START], lines[i, STEP] = origin - first * step, step
+        lines[i, FIRST], lines[i, END] = int(np.floor(begin[i]) - start) + first, end + first
+    return lines[:n].copy(), ways

@@ -70,7 +70,7 @@ def classify_planes(planes: Planes, down: np.ndarray,
     offsets, upright, level = planes.offsets_m, TOLERANCE_DEG, TOLERANCE_DEG
     if past is not None:
         upright = TOLERANCE_DEG + past.yields_deg(PlaneClass.WALL)
-        level = TOLERANCE_DEG + past.yields_deg(_LEVEL_KINDS)
+        level = TOLERANCE_DEG + past.yields_deg(*_LEVEL_KINDS)
     above = facing_down >= np.cos(np.radians(level))
     outermost = above & (offsets >= (1.0 - SAME_LEVEL_SHARE) * offsets[above].max(initial=0.0))
     classes = np.full(len(planes), PlaneClass.OTHER, np.uint8)

@@ -68,10 +68,11 @@ class PlaneHistory:
         now[:rows] = self._mean(self.cosines, now[:rows], is_same)
         return replace(self, cosines=now, classes=classes)
 
-    def yields_deg(self, kind: PlaneClass | tuple[PlaneClass, ...], sign: int = 1) -> np.ndarray:
-        """Return by how much a limit of a class yields, for planes that had it, or not (K,)."""
-        was = np.isin(self.classes, kind)
-        return YIELDING_DEG * sign * np.where(was, 1, -1) * (self.classes != PlaneClass.UNKNOWN)
+    def yields_deg(self, *kinds: PlaneClass) -> np.ndarray:
+        """Return by how much a limit of classes yields, for planes that had one, or not (K,)."""
+        by_class = np.full(len(PlaneClass), -YIELDING_DEG)
+        by_class[list(kinds)], by_class[PlaneClass.UNKNOWN] = YIELDING_DEG, 0.0
+        return by_class[self.classes]
 
     def after(self, planes: Planes) -> PlaneHistory:
         """Return the history of an image, with the confidences and classes of its planes."""

@@ -117,12 +117,15 @@ def missing_planes_note(regions: PixelRegions, labels: np.ndarray, min_pixels: f
         height, width = labels.shape
         return (f'{width} x {height} pixels are too few to tell planes from noise: at least '
                 f'{MIN_CELLS_A_SIDE * regions.grid.size_px} a side are needed')
+    noise, typical = regions.noise, regions.grid.typical_disparity
+    if noise.mean_sigma <= max(noise.source_sigma, MAX_NOISE_SHARE * typical):
+        return ''
     lost = np.bincount(regions.labels[(regions.labels >= 0) & (labels < 0)])
     lost = lost[lost >= max(min_pixels, 1)]
     if not lost.size:
         return ''
     return (f'{lost.size} planes on {lost.sum()} pixels dropped: the noise of 1/z, '
-            f'{regions.noise.mean_sigma:.3g}, is more than {MAX_NOISE_SHARE:.3g} of theirs '
+            f'{noise.mean_sigma:.3g}, is more than {MAX_NOISE_SHARE:.3g} of theirs '
             'and of the image')
 
 

@@ -76,7 +76,7 @@ def add_small_planes(frame: Frame, labels: np.ndarray, known: RegionGraph,
         label_more_pixels(left, graph, found, len(known.planes))
         model = (left.image.values, left.grid.planes_in_pixels(planes),
                  _sides_of_intersections(graph, known))
-        borders = np.flatnonzero(at_borders(graph.labels, 1))
+        borders = np.flatnonzero(at_borders(graph.labels))
         _take_back(found, borders, size, model, pixel_tolerance(left), frame.grid.size_px)
     return planes
 

@@ -22,6 +22,7 @@ from enum import IntEnum
 import numpy as np
 
 from plane_detector._runtime.compilation import kernel
+from plane_detector.geometry.robust import median
 from plane_detector.segmentation.cells.grid import CellGrid, fit_planes
 from plane_detector.segmentation.cells.model import (
     MAX_DEVIATIONS,
@@ -137,9 +138,10 @@ class Recall:
         if not self.is_empty:
             change = (abs(cells.table[:, MEAN_D] - memory.disparity)
                       * np.sqrt(cells.table[:, MEAN_WEIGHT]))
-            self._has_changed = (change > CHANGED * np.median(change[cells.is_planar])
+            self._has_changed = (change > CHANGED * median(change[cells.is_planar])
                                  if cells.is_planar.any() else cells.is_planar)
             self._has_changed = self._has_changed.reshape(cells.grid.shape)
+        self._labels, self._regions = None, []
 
     @property
     def most(self) -> float:
@@ -156,7 +158,7 @@ class Recall:
         decision : Decision
         statistic : float
         labels : (R, C) int32
-            Region of each cell.
+            Region of each cell; not changed in place between two calls.
         pair : (2,) int
         touches : bool
             Only regions that touch stay two, because an object in front of a plane cuts it in two.
@@ -165,9 +167,17 @@ class Recall:
         is_two = statistic > 1
         if self.is_empty or not (is_two or touches):
             return is_two
-        one, other = _pieces(np.ascontiguousarray(labels), self._memory.labels, self._has_changed,
-                             len(self._memory.planes), (int(pair[0]), int(pair[1])))
-        if min(one, other) < 0:
+        if labels is not self._labels:  # of one image, dozens of pairs are asked for
+            self._labels, self._regions = labels, _regions_before(
+                np.ascontiguousarray(labels), self._memory.labels, self._has_changed,
+                len(self._memory.planes)).tolist()
+        if max(pair) >= len(self._regions):  # it has no cells
+            return is_two
+        (one, cells, changed), (other, cells_of_other, changed_of_other) = (
+            self._regions[region] for region in pair)
+        if cells_of_other < cells:
+            cells, changed = cells_of_other, changed_of_other
+        if min(one, other) < 0 or 2 * changed > cells:
             return is_two
         at, evidence = (decision, one, other), math.log(max(statistic, 1e-9), CLEAR)
         planes = self._memory.planes
@@ -246,22 +256,22 @@ class Recall:
                            minlength=(count + 1) * stride).reshape(-1, stride)[1:]
 
 
-@kernel('UniTuple(int64, 2)(int32[:, ::1], int32[:, ::1], boolean[:, ::1], int64, '
-        'UniTuple(int64, 2))', is_short=True)
-def _pieces(labels, last, has_changed, count, pair):
-    """Return the pieces that most of two regions were; -1 if none, or the smaller has changed."""
-    shared, changed = np.zeros((2, count + 1), np.int64), np.zeros(2, np.int64)
+@kernel('int64[:, ::1](int32[:, ::1], int32[:, ::1], boolean[:, ::1], int64)', is_short=True)
+def _regions_before(labels, last, has_changed, count):
+    """Return the piece that most of each region was, -1 if none, its cells, and the changed."""
+    most = np.int32(-1)
+    for row in range(labels.shape[0]):
+        for column in range(labels.shape[1]):
+            most = max(most, labels[row, column])
+    shared, found = np.zeros((most + 1, count + 1), np.int64), np.zeros((most + 1, 3), np.int64)
     for row in range(labels.shape[0]):
         for column in range(labels.shape[1]):
             label = labels[row, column]
-            if label == pair[0] or label == pair[1]:
-                side = int(label == pair[1])
-                shared[side, last[row, column] + 1] += 1
-                changed[side] += has_changed[row, column]
-    one, other = shared[0].argmax(), shared[1].argmax()
-    of_one, of_other = shared[0].sum(), shared[1].sum()
-    small = int(of_other < of_one)
-    if (2 * changed[small] > min(of_one, of_other) or 2 * shared[0, one] <= of_one
-            or 2 * shared[1, other] <= of_other):
-        return -1, -1
-    return one - 1, other - 1
+            if label >= 0:
+                shared[label, last[row, column] + 1] += 1
+                found[label, 1] += 1
+                found[label, 2] += has_changed[row, column]
+    for label in range(most + 1):
+        piece = shared[label].argmax()
+        found[label, 0] = piece - 1 if 2 * shared[label, piece] > found[label, 1] else -1
+    return found

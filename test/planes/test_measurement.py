@@ -11,6 +11,7 @@ from plane_detector import CameraIntrinsics
 from plane_detector.planes.measurement import (
     CONFIDENCE_WEIGHTS,
     SUMS,
+    missing_planes_note,
     planes_from_sums,
     ray_plane_jacobian,
 )
@@ -89,3 +90,13 @@ def test_covariance_and_confidence_follow_from_the_fit(camera):
     of_network = replace(regions, noise=replace(regions.noise, source_sigma=1e-6))
     bent, = planes_from_sums(of_network, rough[None], np.array([0]), camera)
     assert bent.confidence == pytest.approx(measured.confidence, rel=1e-3)
+
+
+@pytest.mark.parametrize(('noise', 'is_noted'), [(0.01, False), (0.2, True)])
+def test_noise_is_noted_only_if_it_can_hide_planes(noise, is_noted):
+    shape = 48, 64
+    ones = DisparityImage(np.ones(shape, np.float32), np.ones(shape, bool))
+    regions = PixelRegions(ones.values, np.zeros(shape, np.int32), np.array([[0.0, 0.0, 1.0]]),
+                           build_cell_grid(ones, 4), Noise(0.0, mean_sigma=noise))
+    nowhere = np.full(shape, -1, np.int32)  # as where lines of the image speak against the plane
+    assert ('noise' in missing_planes_note(regions, nowhere, 10.0)) == is_noted

@@ -8,7 +8,6 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 
 from plane_detector._runtime.compilation import kernel
@@ -279,10 +278,23 @@ def _renamed(labels, names):
     return found
 
 
-def at_borders(labels: np.ndarray, reach: int) -> np.ndarray:
-    """Return which labels (H, W) int32 have another so near in rows and columns, (H, W) bool."""
-    square, values = np.ones((2 * reach + 1,) * 2, np.uint8), labels.astype(np.int16)
-    return cv2.dilate(values, square) != cv2.erode(values, square)
+@kernel('boolean[:, ::1](int32[:, ::1])', is_short=True)
+def at_borders(labels):
+    """Return which labels (R, C) int32 have another one beside them or diagonally."""
+    (rows, columns), found = labels.shape, np.empty(labels.shape, np.bool_)
+    for row in range(rows):
+        above, here, below = labels[max(row - 1, 0)], labels[row], labels[min(row + 1, rows - 1)]
+        out = found[row]
+        for c in range(1, columns - 1):
+            out[c] = ((above[c - 1] != here[c]) | (above[c] != here[c]) | (above[c + 1] != here[c])
+                      | (here[c - 1] != here[c]) | (here[c + 1] != here[c])
+                      | (below[c - 1] != here[c]) | (below[c] != here[c])
+                      | (below[c + 1] != here[c]))
+        for c in (0, columns - 1):
+            out[c] = False
+            for k in range(max(c - 1, 0), min(c + 2, columns)):
+                out[c] |= (above[k] != here[c]) | (here[k] != here[c]) | (below[k] != here[c])
+    return found
 
 
 def count_labels(grid: CellGrid, labels: np.ndarray, count: int) -> np.ndarray:

@@ -31,7 +31,7 @@ import numpy as np
 
 from plane_detector._runtime.compilation import kernel
 from plane_detector.geometry.robust import median
-from plane_detector.segmentation.cells.model import PATCH_SCALE, at_borders
+from plane_detector.segmentation.cells.model import PATCH_SCALE
 from plane_detector.segmentation.cells.noise import Noise
 
 # Half the size is accurate enough at a quarter of the work.
@@ -105,7 +105,10 @@ def snap_to_image_edges(labels: np.ndarray, guide: GuideImage, disparity: np.nda
 
     """
     small = np.ascontiguousarray(labels[::SCALE, ::SCALE])
-    markers = _markers(small, at_borders(small, round(guide.reach_px / SCALE)), len(planes))
+    square = np.ones((2 * round(guide.reach_px / SCALE) + 1,) * 2, np.uint8)
+    is_near = cv2.dilate(small.astype(np.int16), square) != cv2.erode(
+        small.astype(np.int16), square)
+    markers = _markers(small, is_near, len(planes))
     basins = _watershed(cv2.GaussianBlur(guide.small_rgb, (0, 0), SMOOTHING_PX), markers.copy())
     proposed = np.where((markers == 0) & (basins > 0), basins - 2, NOT_MOVED)
     return _moved(labels, proposed, disparity, planes, round(guide.reach_px), is_blurred,

@@ -47,6 +47,9 @@ MAX_SMEAR_DEG, MAX_SMEAR_PX = 4.0, 20.0
 MAX_END_SHARE = 0.25
 # derived: the pixels behind the one next to an end.
 BEHIND_PX = 2.0
+# chosen: of every plane but the smallest, some pixels this far apart show that it is not as steep
+# as a smear; only if they do not, all are looked at.
+SPARSE_PX = 8
 
 
 def label_pixels(frame: Frame, graph: RegionGraph) -> np.ndarray:
@@ -89,7 +92,7 @@ def label_more_pixels(frame: Frame, graph: RegionGraph, labels: np.ndarray, firs
     """
     grid, disparity = frame.grid, frame.image.values if disparity is None else disparity
     _label((labels, first), (disparity, frame.image.valid, grid.size_px),
-           (graph.labels, at_borders(graph.labels, 1)), frame.cells.table,
+           (graph.labels, at_borders(graph.labels)), frame.cells.table,
            (grid.planes_in_pixels(graph.planes), intersections(graph.planes, graph.borders)),
            pixel_tolerance(frame), sweeps)
 
@@ -402,8 +405,17 @@ def _are_smears(labels, planes, disparity, valid, steepest):
     (height, width), count = labels.shape, len(planes)
     low, high = np.full(count, np.inf), np.full(count, -np.inf)
     pixels, ramps = np.zeros(count, np.int64), np.zeros(count, np.int64)
-    slope, across, found = np.empty(count), np.empty(count), np.zeros(count, np.bool_)
-    for v in range(height):
+    slope, across, found = np.empty(count), np.zeros(count), np.zeros(count, np.bool_)
+    for v in range(0, height, SPARSE_PX):
+        for u in range(0, width, SPARSE_PX):
+            k = labels[v, u]
+            if k >= 0:
+                high[k] = max(high[k], planes[k, 0] * u + planes[k, 1] * v + planes[k, 2])
+    any_left = False
+    for k in range(count):
+        slope[k] = max(np.hypot(planes[k, 0], planes[k, 1]), 1e-12)
+        any_left |= slope[k] > steepest * high[k]
+    for v in range(height if any_left else 0):
         first = 0  # of a run of equal labels, at whose ends 1/z is least and largest
         for u in range(width):
             k = labels[v, u]
@@ -416,7 +428,6 @@ def _are_smears(labels, planes, disparity, valid, steepest):
             first = u + 1
     any_left = False
     for k in range(count):
-        slope[k] = max(np.hypot(planes[k, 0], planes[k, 1]), 1e-12)
         across[k] = (high[k] - low[k]) / slope[k]
         found[k] = slope[k] > steepest * high[k] and 0 < across[k] <= MAX_SMEAR_PX
         any_left |= found[k]

@@ -64,7 +64,7 @@ def compete_for_cells(frame: Frame, regions: PlaneRegions) -> PlaneRegions:
     """
     if len(regions.coefficients) == 0:
         return regions
-    labels = _compete(regions.labels, at_borders(regions.labels, 1),
+    labels = _compete(regions.labels, at_borders(regions.labels),
                       (regions.coefficients, frame.cells.table), MAX_DEVIATIONS**2)
     clusters, _, starts = label_clusters(labels, frame.config.dbscan)
     return fit_regions(frame.cells, clusters, len(starts) - 1, frame.min_pixels)
@@ -161,7 +161,7 @@ def reassign_cells(frame: Frame, regions: PlaneRegions,
     model, labels = (regions.coefficients, cells.table, cells.is_planar), regions.labels.copy()
     single = np.arange(labels.size, dtype=np.int32).reshape(labels.shape)
     for _ in range(MAX_TRIALS):
-        changed = np.flatnonzero(at_borders(labels, 1)).astype(np.int32)
+        changed = np.flatnonzero(at_borders(labels)).astype(np.int32)
         _improve(labels, (single, changed, np.arange(len(changed) + 1)), model, weights)
         if not _improve(labels, label_clusters(labels, CONNECTED), model, weights):
             break

@@ -10,7 +10,7 @@ merged, so that the cells are read once.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -104,23 +104,32 @@ def merge_pairs(graph: RegionGraph, misfit: Callable[[RegionGraph], np.ndarray],
         Largest misfit of pairs that may be merged.
 
     """
-    cost, refused, is_own = misfit(graph), [], False
-    while cost.size:
-        i, j = divmod(int(cost.argmin()), len(cost))
-        if not cost[i, j] <= most:  # NaN is the least for argmin
-            break
-        if is_apart(graph, i, j, float(cost[i, j])):
-            refused.append((i, j))
+    refused: set[tuple[int, int]] = set()
+    is_own = False
+    while True:
+        cost = misfit(graph)
+        for pair in _fitting(cost, most):
+            if pair in refused:
+                continue
+            if not is_apart(graph, *pair, float(cost[pair])):
+                break
+            refused.add(pair)
         else:
-            if not is_own:
-                graph = RegionGraph(*(part.copy() for part in vars(graph).values()))
-                is_own = True
-            _merge(graph, i, j)
-            refused = [pair for pair in refused if i not in pair and j not in pair]
-            cost = misfit(graph)
-        for pair in refused:
-            cost[pair] = np.inf
-    return graph
+            return graph
+        if not is_own:
+            graph = RegionGraph(*(part.copy() for part in vars(graph).values()))
+            is_own = True
+        graph = _merged(graph, *pair)
+        refused = {other for other in refused if not set(pair) & set(other)}
+
+
+def _fitting(cost: np.ndarray, most: float) -> list[tuple[int, int]]:
+    """Return the pairs that fit, the best first."""
+    if np.isnan(cost).any():
+        return []
+    fits = np.flatnonzero(cost <= most)
+    fits = fits[cost.reshape(-1)[fits].argsort(kind='stable')]
+    return [divmod(place, len(cost)) for place in fits.tolist()]
 
 
 @kernel('Tuple((float64[:, ::1], float64[:, ::1], float64[:, :, ::1]))'
@@ -174,9 +183,9 @@ def add_cell(table, slope, sums, i, k):
         sums[k, NORMALS_D] += d
 
 
-def _merge(graph: RegionGraph, target: int, source: int) -> None:
-    """Merge region ``source`` into ``target`` in place."""
-    graph.labels[graph.labels == source] = target
+def _merged(graph: RegionGraph, target: int, source: int) -> RegionGraph:
+    """Merge region ``source`` into ``target``: all but the labels in place."""
+    labels = np.where(graph.labels == source, np.int32(target), graph.labels)
     graph.owner[graph.owner == source] = target
     graph.pixels[target] += graph.pixels[source]
     graph.planes[target] = fit_plane(graph.pixels[target])
@@ -185,6 +194,7 @@ def _merge(graph: RegionGraph, target: int, source: int) -> None:
     graph.borders[target] += graph.borders[source]
     graph.borders[:, target] += graph.borders[:, source]
     graph.borders[source] = graph.borders[:, source] = graph.borders[target, target] = 0
+    return replace(graph, labels=labels)
 
 
 @kernel('UniTuple(float64, 2)(float64[:, ::1], float64[:, :, ::1], int64, int64)')

@@ -42,7 +42,7 @@ def test_no_cell_would_rather_have_the_label_of_a_neighbour():
     planes = np.array([[0, 0, 0.5], [4 * deviation, 0, 0.5 + 4 * deviation]])
     labels = rng.integers(-1, 2, (12, 16)).astype(np.int32).repeat(5, axis=0).repeat(5, axis=1)
     given = labels.copy()
-    found = competition._compete(labels, at_borders(labels, 1), (planes, model.table), 9.0)
+    found = competition._compete(labels, at_borders(labels), (planes, model.table), 9.0)
     np.testing.assert_array_equal(labels, given)
     assert (found != given).any()
     padded = np.pad(found, 1, mode='edge')
