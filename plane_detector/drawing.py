@@ -24,7 +24,9 @@ PALETTE = np.array(
     ],
     dtype=np.uint8,
 )
-# The colour of each class, with its name; planes of unknown class use the palette.
+# The colours of planes of unknown class, which look like neither floors nor walls: the reds.
+_OF_UNKNOWN_CLASS = PALETTE[PALETTE.argmax(axis=1) == 0]
+# The colour of each class, with its name.
 CLASS_COLOURS = {
     PlaneClass.FLOOR: ('green', (40, 175, 75)), PlaneClass.RAMP: ('light green', (150, 205, 60)),
     PlaneClass.WALL: ('blue', (30, 110, 225)), PlaneClass.CEILING: ('grey', (160, 168, 176)),
@@ -89,7 +91,7 @@ def plane_colours(labels: np.ndarray, classes: np.ndarray) -> np.ndarray:
     True
 
     """
-    colours = label_colours(labels).astype(float)
+    colours = _OF_UNKNOWN_CLASS[np.asarray(labels) % len(_OF_UNKNOWN_CLASS)].astype(float)
     for kind, (_, colour) in CLASS_COLOURS.items():
         colours[np.asarray(classes) == kind] = colour
     light = _DARKEST + (_LIGHTEST - _DARKEST) * (np.asarray(labels) * _GOLDEN_RATIO % 1)

@@ -94,8 +94,13 @@ def test_neighbouring_labels_of_a_class_differ_in_lightness(kind):
     assert np.abs(np.diff(lightness)).min() > 20
 
 
-def test_planes_without_a_class_and_shapes_have_the_colours_of_the_palette():
-    np.testing.assert_array_equal(of_class(PlaneClass.UNKNOWN), label_colours(LABELS))
+def test_planes_of_unknown_class_are_neither_green_nor_blue_and_neighbours_differ():
+    colours = of_class(PlaneClass.UNKNOWN)
+    assert (colours.argmax(axis=1) == 0).all()
+    assert np.linalg.norm(np.diff(colours, axis=0), axis=1).min() > 50
+
+
+def test_shapes_have_the_colours_of_the_palette():
     table = colours_by_label(np.array([2]), np.array([PlaneClass.WALL]), 9)
     np.testing.assert_array_equal(table[[3, 9]], label_colours(np.array([3, 9])))
     np.testing.assert_array_equal(table[2], plane_colours(np.array([2]), [PlaneClass.WALL])[0])

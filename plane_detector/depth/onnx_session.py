@@ -51,8 +51,8 @@ class ProviderError(ValueError):
 def check_provider(provider: str) -> None:
     """Raise ProviderError, with the remedy, unless this ONNX Runtime can load the provider."""
     if provider not in ort.get_all_providers():
-        raise ProviderError('ONNX Runtime knows no provider of this name; the names end in '
-                            'ExecutionProvider')
+        raise ProviderError('ONNX Runtime knows no provider of this name; it has '
+                            f'{" and ".join(available_providers())}')
     if provider not in ort.get_available_providers():
         if _is_installed('onnxruntime') and _is_installed('onnxruntime-gpu'):
             raise ProviderError(

@@ -48,11 +48,13 @@ _MAP_COLUMNS = (*((axis, axis, 7, '.2f') for axis in 'xyz'), *_SIZES, ('views', 
                 ('sigma', 'sigma_d', 7, '.3f'))
 
 
-def table_of(msg: PointCloud2, is_metric: bool = True, camera: str = '') -> str:
+def table_of(msg: PointCloud2, is_metric: bool = True, camera: str = '',
+             warning: str = '') -> str:
     """
     Return the planes of ``~/planes``, largest first, or of ``~/map/planes`` as lines of text.
 
-    ``camera`` is the line of the diagnostics about its height, tilt and drops.
+    ``camera`` is the line of the diagnostics about its height, tilt and drops, ``warning`` their
+    message about what is missing.
     """
     unit = 'metres' if is_metric else 'lengths in an unknown unit'
     rows = read_cloud(msg).ravel() if msg.height else ()
@@ -60,7 +62,7 @@ def table_of(msg: PointCloud2, is_metric: bool = True, camera: str = '') -> str:
         rows = [row for row in rows if not row['subsumed_by']]
     frame_id = plain(msg.header.frame_id)
     return '\n'.join([f'{len(rows)} planes at {stamp_text(msg)} in {frame_id}, {unit}',
-                      *filter(None, [camera]), *table_lines(rows, is_map)])
+                      *filter(None, [camera, warning]), *table_lines(rows, is_map)])
 
 
 def table_lines(rows: Iterable[np.void], is_map: bool = False) -> list[str]:
@@ -137,7 +139,7 @@ class PlanePrinter(Node):
             text = planes_to_json(msg, self._is_metric)
         else:
             clear = _CLEAR if self._stream.isatty() else ''
-            text = clear + table_of(msg, self._is_metric, self._camera)
+            text = clear + table_of(msg, self._is_metric, self._camera, self._message)
         print(text, file=self._stream, flush=True)
         self.has_printed = True
 

@@ -51,6 +51,8 @@ def test_the_printed_table():
         '0.003', '75%', '-0.28', '+0.00', '-0.96']
     assert 'unknown unit' in table_of(two_planes(), is_metric=False)
     assert len(lines) == 4
+    assert table_of(two_planes(), warning='planes have no class').splitlines() == [
+        lines[0], 'planes have no class', *lines[1:]]
 
 
 def map_of(scene):
