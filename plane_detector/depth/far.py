@@ -85,9 +85,10 @@ def find_sky(rgb: np.ndarray, disparity: np.ndarray,
     height, width = rgb.shape[:2]
     small_height = round(height * _SMALL_WIDTH_PX / width)
     size = _SMALL_WIDTH_PX, min(max(2, small_height), _MOST_SMALL_HEIGHT_PX)
-    small = cv2.resize(rgb, size, interpolation=cv2.INTER_AREA).astype(np.float32)
+    # Channels (3, h, w): their sums and comparisons take a fifth of those with a stride.
+    small = np.array(cv2.split(cv2.resize(rgb, size, interpolation=cv2.INTER_AREA)), np.float32)
     reduced = cv2.resize(disparity, size, interpolation=cv2.INTER_NEAREST)
-    far = np.nan_to_num(reduced, nan=0.0, posinf=0.0).astype(np.float32)
+    far = np.nan_to_num(reduced, nan=0.0, posinf=0.0).astype(np.float32, copy=False)
     is_even = _is_even(small)
     region = _clear_sky(small, far, is_even)
     region = _overexposed_sky(small, far, is_even) if region is None else region
@@ -95,22 +96,23 @@ def find_sky(rgb: np.ndarray, disparity: np.ndarray,
     if region is None and flat is None:
         return None
     region = flat if region is None else region
-    least_grey = float(np.quantile(small[region].mean(axis=-1), 0.1)) - _HORIZON_DARKER
+    least_grey = float(np.quantile(small[:, region].mean(axis=0), 0.1)) - _HORIZON_DARKER
     if flat is None:
         near_horizon = is_even & _is_bright(small, least_grey, -_HORIZON_REDDER)
         region = touching(near_horizon | region, region, connectivity=4)
     wide = cv2.resize(dilated(region, _BORDER_PX).view(np.uint8), (width, height),
                       interpolation=cv2.INTER_NEAREST) > 0
-    return wide & _is_bright(rgb.astype(np.float32), least_grey, -_HORIZON_REDDER)
+    channels = np.array(cv2.split(rgb), np.float32)
+    return wide & _is_bright(channels, least_grey, -_HORIZON_REDDER)
 
 
 def _is_bright(rgb: np.ndarray, least_grey: float, least_blue_minus_red: float) -> np.ndarray:
-    return (_grey(rgb) > least_grey) & (rgb[..., 2] - rgb[..., 0] >= least_blue_minus_red)
+    return (_grey(rgb) > least_grey) & (rgb[2] - rgb[0] >= least_blue_minus_red)
 
 
 def _grey(rgb: np.ndarray) -> np.ndarray:
-    """Return the mean of the channels of a float32 image, ten times as fast as its method."""
-    return (rgb[..., 0] + rgb[..., 1] + rgb[..., 2]) / np.float32(3)
+    """Return the mean of the channels (3, H, W) float32, ten times as fast as its method."""
+    return (rgb[0] + rgb[1] + rgb[2]) / np.float32(3)
 
 
 def _is_even(small: np.ndarray) -> np.ndarray:
@@ -121,15 +123,15 @@ def _is_even(small: np.ndarray) -> np.ndarray:
 
 def _clear_sky(small: np.ndarray, far: np.ndarray, is_even: np.ndarray) -> np.ndarray | None:
     region = _at_the_top(is_even & _is_bright(small, _MIN_GREY, _MIN_BLUE_MINUS_RED))
-    if _share(region) < _MIN_SHARE or not _whitens_downwards(small, region):
+    if region is None or not _whitens_downwards(small, region):
         return None
     return region if np.mean(far[region] <= median(far.ravel())) >= _MIN_FAR_SHARE else None
 
 
 def _overexposed_sky(small: np.ndarray, far: np.ndarray, is_even: np.ndarray) -> np.ndarray | None:
-    darkest = np.minimum(np.minimum(small[..., 0], small[..., 1]), small[..., 2])
+    darkest = np.minimum(np.minimum(small[0], small[1]), small[2])
     region = _at_the_top(is_even & (darkest >= _OVEREXPOSED))
-    if _share(region) < _MIN_SHARE or region.all():
+    if region is None or region.all():
         return None
     if not median(far[region]) < _MOST_OF_REST * median(far[~region]):
         return None
@@ -145,7 +147,7 @@ def _flat_sky(small: np.ndarray, disparity: np.ndarray) -> np.ndarray | None:
     spread = max(float(most - least), 1e-12)
     is_least = known & (np.where(known, disparity, np.inf) < least + _LEAST_SHARE * spread)
     region = _at_the_top(is_least & _is_bright(small, _MIN_FLAT_GREY, 0.0))
-    if _share(region) < _MIN_SHARE or region.all():
+    if region is None or region.all():
         return None
     v, u = np.nonzero(region)
     design = np.stack([u / _SMALL_WIDTH_PX, v / _SMALL_WIDTH_PX, np.ones(len(u))], axis=1)
@@ -161,16 +163,19 @@ def _share(region: np.ndarray) -> float:
     return np.count_nonzero(region) / region.size
 
 
-def _at_the_top(candidates: np.ndarray) -> np.ndarray:
-    """Return the candidates that are connected to the upper border."""
+def _at_the_top(candidates: np.ndarray) -> np.ndarray | None:
+    """Return the candidates that are connected to the upper border; None if they are too few."""
+    if not candidates[0].any() or _share(candidates) < _MIN_SHARE:
+        return None
     top = np.zeros_like(candidates)
     top[0] = candidates[0]
-    return touching(candidates, top, connectivity=4)
+    region = touching(candidates, top, connectivity=4)
+    return None if _share(region) < _MIN_SHARE else region
 
 
 def _whitens_downwards(small: np.ndarray, region: np.ndarray) -> bool:
     rows = np.nonzero(region)[0]
-    colours = small[region]
+    colours = small[:, region].T
     upper, lower = (colours[part] for part in (
         rows <= np.quantile(rows, 0.1), rows >= np.quantile(rows, 0.9)))
     blue_over_red = [np.median((part[:, 2] + 1) / (part[:, 0] + 1)) for part in (upper, lower)]

@@ -169,6 +169,13 @@ def _shrink(rows, planes, scales, offsets):
     height, width = planes.shape[1:]
     down, across = len(rows) / height, rows.shape[1] / 3 / width
     area, sums = down * across, np.empty(rows.shape[1], np.float32)
+    most = min(int(across) + 2, rows.shape[1] // 3)  # pixels of a row in one of the result
+    first, weights = np.empty(width, np.int64), np.zeros((width, most), np.float32)
+    for u in range(width):
+        left, right = u * across, min((u + 1) * across, rows.shape[1] / 3)
+        first[u] = min(int(left), rows.shape[1] // 3 - most)
+        for i in range(int(left), math.ceil(right - 1e-6)):
+            weights[u, i - first[u]] = min(i + 1, right) - max(i, left)
     for v in range(height):
         top, bottom = v * down, min((v + 1) * down, len(rows))
         for k in range(len(sums)):
@@ -178,13 +185,12 @@ def _shrink(rows, planes, scales, offsets):
             for k in range(len(sums)):
                 sums[k] += weight * rows[i, k]
         for u in range(width):
-            left, right = u * across, min((u + 1) * across, rows.shape[1] / 3)
             red = green = blue = np.float32(0)
-            for i in range(int(left), math.ceil(right - 1e-6)):
-                weight = np.float32(min(i + 1, right) - max(i, left))
-                red += weight * sums[3 * i]
-                green += weight * sums[3 * i + 1]
-                blue += weight * sums[3 * i + 2]
+            for i in range(most):
+                weight, k = weights[u, i], 3 * (first[u] + i)
+                red += weight * sums[k]
+                green += weight * sums[k + 1]
+                blue += weight * sums[k + 2]
             planes[0, v, u] = red * scales[0] - offsets[0]
             planes[1, v, u] = green * scales[1] - offsets[1]
             planes[2, v, u] = blue * scales[2] - offsets[2]

@@ -54,14 +54,12 @@ class FilteredDisparity:
         """Blurred brightness (H, W) float32."""
         return _blurred(self.brightness) if self.average_grey is None else self.average_grey
 
-    @cached_property
-    def bands(self) -> np.ndarray:
-        """Rows (N, W) float32 of the blurred brightness, in bands over the last image."""
-        height = len(self.brightness)
-        tops = np.linspace(0, max(height - _BAND_PX, 0), _BANDS + 2, dtype=int)[1:-1]
-        return np.vstack([_blurred(self.brightness[max(top - _BLUR_REACH_PX, 0):
-                                                   top + _BAND_PX + _BLUR_REACH_PX])
-                          [min(top, _BLUR_REACH_PX):][:_BAND_PX] for top in tops])
+    def band(self, k: int) -> np.ndarray:
+        """Return rows (n, W) float32 of the blurred brightness, one of the bands of an image."""
+        top = (k + 1) * max(len(self.brightness) - _BAND_PX, 0) // (_BANDS + 1)
+        return _blurred(self.brightness[max(top - _BLUR_REACH_PX, 0):
+                                        top + _BAND_PX + _BLUR_REACH_PX]
+                        )[min(top, _BLUR_REACH_PX):][:_BAND_PX]
 
 
 def filter_disparity(previous: FilteredDisparity | None, disparity: np.ndarray, rgb: np.ndarray,
@@ -99,8 +97,13 @@ def _blurred(brightness: np.ndarray) -> np.ndarray:
 
 def _surely_moves(previous: FilteredDisparity, alone: FilteredDisparity) -> bool:
     """Return whether some rows alone change in too many pixels, assuming the largest noise."""
-    changed = cv2.absdiff(previous.bands, alone.bands) > _GREY_SIGMAS * _GREY_NOISE[1]
-    return np.count_nonzero(changed) > _GREY_MOVING * alone.brightness.size
+    changed = 0
+    for k in range(_BANDS):
+        difference = cv2.absdiff(previous.band(k), alone.band(k))
+        changed += np.count_nonzero(difference > _GREY_SIGMAS * _GREY_NOISE[1])
+        if changed > _GREY_MOVING * alone.brightness.size:
+            return True
+    return False
 
 
 def _averaged(previous: FilteredDisparity, alone: FilteredDisparity, keep: float,

@@ -209,7 +209,7 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
     'depth/far.py': (
         ('blur(grey * grey', 'blur(grey / grey',
          'a textured wall is sky'),
-        ('rgb[..., 2] - rgb[..., 0] >=', 'rgb[..., 1] - rgb[..., 0] >=',
+        ('rgb[2] - rgb[0] >=', 'rgb[1] - rgb[0] >=',
          'green for blue'),
         ('darkest = np.minimum(', 'darkest = np.maximum(', 'a yellow wall is an overexposed sky'),
         ('FAR_DEVIATIONS * noise', 'noise', 'dropped factor of the noise'),

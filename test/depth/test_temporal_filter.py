@@ -156,8 +156,9 @@ def test_invalid_pixels_stay_invalid_and_new_ones_stand_alone():
 def test_bands_are_rows_of_the_blurred_image(height):
     state = filter_disparity(None, TRUTH[:height], scenery()[:height], 0.8, same_scale=True)
     rows = {row.tobytes() for row in np.round(state.grey, 3)}
-    assert len(state.bands)
-    assert all(row.tobytes() in rows for row in np.round(state.bands, 3))
+    for k in range(4):
+        assert len(state.band(k))
+        assert all(row.tobytes() in rows for row in np.round(state.band(k), 3))
 
 
 @pytest.mark.parametrize('top', range(0, 240, 20))
