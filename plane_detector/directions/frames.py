@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import cv2
@@ -69,13 +68,9 @@ def fit_frame(segments: LineSegments, axes: np.ndarray, used: tuple[int, ...] = 
         The axes that segments may point to; the others are rotated with them.
 
     """
-    axes, is_used = np.array(axes, float), np.isin((0, 1, 2), used)
-    for k in range(SEARCH_ROUNDS + FIT_ROUNDS):
-        tolerance_deg = SEARCH_TOLERANCE_DEG if k < SEARCH_ROUNDS else FIT_TOLERANCE_DEG
-        sums = _normal_equations(segments.normals, segments.midpoints, segments.lengths,
-                                 axes, is_used, math.sin(math.radians(tolerance_deg)))
-        # OpenCV: numpy takes several times as long to begin with so few numbers.
-        axes = axes @ cv2.Rodrigues(cv2.solve(sums[:3], sums[3][:, None])[1])[0]
+    axes = np.array(axes, float)
+    sums = _fit(segments.normals, segments.midpoints, segments.lengths, axes,
+                np.isin((0, 1, 2), used))
     weight, weight_square, squares = sums[4].tolist()
     independent = weight**2 / max(weight_square, 1e-12)
     # Covariance of weighted means: moment^-1 times the variance over the independent segments.
@@ -84,16 +79,55 @@ def fit_frame(segments: LineSegments, axes: np.ndarray, used: tuple[int, ...] = 
 
 
 @kernel('float64[:, ::1](float64[:, ::1], float64[:, ::1], float64[::1], float64[:, ::1], '
-        'boolean[::1], float64)', is_short=True)
-def _normal_equations(normals, midpoints, lengths, directions, is_used, widest):
+        'boolean[::1])', is_short=True)
+def _fit(normals, midpoints, lengths, axes, is_used):
+    """Rotate the axes to their segments; return the sums of the last normal equations."""
+    sums = np.zeros((5, 3))
+    for k in range(SEARCH_ROUNDS + FIT_ROUNDS):
+        tolerance_deg = SEARCH_TOLERANCE_DEG if k < SEARCH_ROUNDS else FIT_TOLERANCE_DEG
+        _normal_equations(normals, midpoints, lengths, axes, is_used,
+                          np.sin(np.radians(tolerance_deg)), sums)
+        turn_by_solution(axes, sums[:3], -sums[3])
+    return sums
+
+
+@kernel('void(float64[:, ::1], float64[:, ::1], float64[::1])', is_short=True)
+def turn_by_solution(rows, m, right):
+    """Rotate rows (N, 3) by the rotation vector x of m x = right, with a symmetric m (3, 3)."""
+    inverse = np.empty((3, 3))
+    for i in range(3):
+        for j in range(3):
+            p, q, r, s = (i + 1) % 3, (i + 2) % 3, (j + 1) % 3, (j + 2) % 3
+            inverse[i, j] = m[p, r] * m[q, s] - m[p, s] * m[q, r]
+    determinant = m[0, 0] * inverse[0, 0] + m[0, 1] * inverse[0, 1] + m[0, 2] * inverse[0, 2]
+    turn = np.zeros(3)
+    for i in range(3):
+        for j in range(3):
+            turn[i] += inverse[i, j] * right[j] / determinant
+    angle = np.sqrt(turn[0] ** 2 + turn[1] ** 2 + turn[2] ** 2)
+    if angle == 0:
+        return
+    c, s = np.cos(angle), np.sin(angle)
+    x, y, z = turn[0] / angle, turn[1] / angle, turn[2] / angle
+    for i in range(len(rows)):
+        a, b, d = rows[i, 0], rows[i, 1], rows[i, 2]
+        along = (1 - c) * (x * a + y * b + z * d)
+        rows[i, 0] = c * a + s * (y * d - z * b) + along * x
+        rows[i, 1] = c * b + s * (z * a - x * d) + along * y
+        rows[i, 2] = c * d + s * (x * b - y * a) + along * z
+
+
+@kernel('void(float64[:, ::1], float64[:, ::1], float64[::1], float64[:, ::1], '
+        'boolean[::1], float64, float64[:, ::1])')
+def _normal_equations(normals, midpoints, lengths, directions, is_used, widest, sums):
     """
-    Return moment (3, 3), gradient (3,) and (sum w, sum w^2, sum w s^2) of the misalignments s.
+    Write moment (3, 3), gradient (3,) and (sum w, sum w^2, sum w s^2) of the misalignments s.
 
     Each segment contributes to the direction closest to it, weighted by its length and Tukey's
     weight; the derivative with respect to a small rotation is d x n over the length of the
     direction's image. The moment is invertible even if no segment sees an axis.
     """
-    sums, jacobian = np.zeros((5, 3)), np.zeros(3)
+    sums[:], jacobian = 0.0, np.zeros(3)
     for i in range(len(lengths)):
         nearest, sine = 0, np.inf
         for j in range(len(directions)):
@@ -119,4 +153,3 @@ def _normal_equations(normals, midpoints, lengths, directions, is_used, widest):
         sums[4, 2] += weight * sine * sine
     for a in range(3):
         sums[a, a] += 1e-6 * sums[4, 0] + 1e-12
-    return sums

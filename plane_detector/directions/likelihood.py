@@ -76,8 +76,7 @@ class Evidence:
 
 def line_table(segments: LineSegments, focal_error: float) -> np.ndarray:
     """Return the lines of :class:`Evidence`; the error of the focal length is a share of it."""
-    normals = segments.normals
-    unit = normals / np.linalg.norm(normals, axis=1, keepdims=True)
+    normals, unit = segments.normals, segments.unit_normals
     in_line = (np.abs(unit @ unit.T) > np.cos(np.radians(SAME_LINE_DEG))).sum(axis=1)
     variance = np.radians(LINE_DEG) ** 2 + (END_ERROR / segments.lengths) ** 2
     # The image of a direction moves toward the centre by this share, and the line past it.

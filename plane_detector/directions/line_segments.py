@@ -47,6 +47,11 @@ class LineSegments:
         x, y = self.tangents.T
         return np.stack([-y, x, y * self.midpoints[:, 0] - x * self.midpoints[:, 1]], axis=1)
 
+    @cached_property
+    def unit_normals(self) -> np.ndarray:
+        """Return these normals (N, 3) with length 1."""
+        return self.normals / np.linalg.norm(self.normals, axis=1, keepdims=True)
+
 
 def reduced_grey(rgb: np.ndarray) -> np.ndarray:
     """Return an image (H, W, 3) uint8 as grey (h, w) uint8, at most DETECTION_WIDTH_PX wide."""

@@ -67,41 +67,55 @@ def find_segments(grey: np.ndarray) -> np.ndarray:
     # them has as many pixels along it.
     tests = 11 * float(small.size) ** 2.5
     fewest = max(int(math.log(tests) / -math.log(TOLERANCE_RAD / math.pi)), 2)
-    edges, keys = _edges(small)
-    pixels = np.flatnonzero(keys)
-    order = pixels[np.argsort(keys[pixels], kind='stable')]  # by radix, as they have 16 bits
+    edges, order = _edges(small)
     return (_segments(edges, order, small.shape[1] + 1, fewest) - 0.5) / REDUCTION
 
 
-@kernel('Tuple((float32[:, ::1], uint16[::1]))(uint8[:, ::1])')
+@kernel('Tuple((float32[:, ::1], int32[::1]))(uint8[:, ::1])')
 def _edges(image):
     """
-    Return the direction along the edge at each pixel and its gradient, (N, 3), and sort keys (N,).
+    Return the direction along the edge at each pixel and its gradient, (N, 3), and an order (M,).
 
     The pixels are those of h + 1 rows of w + 1, so that there is a margin without gradients at
-    all sides. Their keys are 0, the others are smaller where the gradient is larger.
+    all sides. The order is that of the pixels with a gradient, the largest first.
     """
     height, width = image.shape
-    edges = np.zeros(((height + 1) * (width + 1), 3), np.float32)
-    keys = np.zeros(len(edges), np.uint16)
+    edges, row = np.zeros(((height + 1) * (width + 1), 3), np.float32), np.empty(width, np.float32)
+    x, y = np.empty_like(row), np.empty_like(row)
+    # Counting sort, by steps below the largest gradient that there may be.
+    steps, starts = np.empty(len(edges), np.int16), np.zeros(STEPS_PER_GREY * 256 + 1, np.int32)
+    pixels, count = np.empty(len(edges), np.int32), 0
     for v in range(1, height):
-        for u in range(1, width):
+        for u in range(1, width):  # several at once: no branches
             falling = np.float32(image[v, u]) - np.float32(image[v - 1, u - 1])
             rising = np.float32(image[v - 1, u]) - np.float32(image[v, u - 1])
-            x, y = rising - falling, falling + rising
-            length = np.sqrt(x * x + y * y)
-            if length > 2 * LEAST_GRADIENT:
-                k = v * (width + 1) + u
-                edges[k, 0], edges[k, 1], edges[k, 2] = x / length, y / length, length / 2
-                keys[k] = 65535 - np.uint16(STEPS_PER_GREY / 2 * length)
-    return edges, keys
+            x[u], y[u] = rising - falling, falling + rising
+            row[u] = np.sqrt(x[u] * x[u] + y[u] * y[u])
+        for u in range(1, width):
+            pixels[count] = v * (width + 1) + u
+            count += row[u] > 2 * LEAST_GRADIENT
+        for i in range(count - 1, -1, -1):
+            k = pixels[i]
+            if k < v * (width + 1):
+                break
+            u = k - v * (width + 1)
+            edges[k, 0], edges[k, 1], edges[k, 2] = x[u] / row[u], y[u] / row[u], row[u] / 2
+            steps[i] = len(starts) - 2 - np.int16(STEPS_PER_GREY / 2 * row[u])
+            starts[steps[i] + 1] += 1
+    for step in range(len(starts) - 1):
+        starts[step + 1] += starts[step]
+    order = np.empty(count, np.int32)
+    for i in range(count):
+        order[starts[steps[i]]] = pixels[i]
+        starts[steps[i]] += 1
+    return edges, order
 
 
-@kernel('int64(int32[:, ::1], int64, boolean[::1], float32[:, ::1], float32)')
-def _grow(region, width, is_free, edges, least_cosine):
+@kernel('int64(int32[:, ::1], int64, float32[:, ::1], float32[:, ::1], float32)')
+def _grow(region, width, free, edges, least_cosine):
     """Take free pixels around the first of a region, whose index is known; return their number."""
     size, i, first = 1, 0, region[0, 0]
-    is_free[first] = False
+    free[first, 0] = free[first, 1] = 0
     region[0, 1], region[0, 2] = first % width, first // width
     x, y = edges[first, 0], edges[first, 1]
     square = least_cosine * least_cosine
@@ -111,16 +125,15 @@ def _grow(region, width, is_free, edges, least_cosine):
         for below in range(-1, 2):
             for right in range(-1, 2):
                 pixel = np.uint64(middle + below * width + right)
-                if is_free[pixel]:
-                    product = x * edges[pixel, 0] + y * edges[pixel, 1]
-                    if product > 0 and product * product >= least:
-                        is_free[pixel] = False
-                        region[size, 0] = pixel
-                        region[size, 1], region[size, 2] = column + right, row + below
-                        x += edges[pixel, 0]
-                        y += edges[pixel, 1]
-                        least = square * (x * x + y * y)
-                        size += 1
+                product = x * free[pixel, 0] + y * free[pixel, 1]
+                if product * abs(product) >= least:
+                    x += free[pixel, 0]
+                    y += free[pixel, 1]
+                    free[pixel, 0] = free[pixel, 1] = 0
+                    region[size, 0] = pixel
+                    region[size, 1], region[size, 2] = column + right, row + below
+                    least = square * (x * x + y * y)
+                    size += 1
         i += 1
     return size
 
@@ -161,13 +174,13 @@ def _fit_box(region, size, edges, box):
     return size / ((end - start) * box[4])
 
 
-@kernel('float64(int32[:, ::1], int64, boolean[::1], float32[:, ::1], float64)')
-def _narrower(region, size, is_free, edges, width):
+@kernel('float64(int32[:, ::1], int64, float32[:, ::1], float32[:, ::1], float64)')
+def _narrower(region, size, free, edges, width):
     """Free a region; return the cosine of twice the spread of its angles near its first pixel."""
     total, squares, near, first = 0.0, 0.0, 0, region[0, 0]
     for i in range(size):
         pixel, x, y = region[i, 0], region[i, 1] - region[0, 1], region[i, 2] - region[0, 2]
-        is_free[pixel] = True
+        free[pixel, 0], free[pixel, 1] = edges[pixel, 0], edges[pixel, 1]
         if x * x + y * y < width * width:
             angle = math.atan2(
                 edges[first, 0] * edges[pixel, 1] - edges[first, 1] * edges[pixel, 0],
@@ -179,14 +192,15 @@ def _narrower(region, size, is_free, edges, width):
     return math.cos(min(2 * math.sqrt(max(variance, 0.0)), math.pi / 2))
 
 
-@kernel('int64(int32[:, ::1], int64, boolean[::1], float64)')
-def _cut(region, size, is_free, square):
+@kernel('int64(int32[:, ::1], int64, float32[:, ::1], float32[:, ::1], float64)')
+def _cut(region, size, free, edges, square):
     """Free the pixels beyond a squared distance from the first one; return how many are left."""
     i = 1
     while i < size:
         x, y = region[i, 1] - region[0, 1], region[i, 2] - region[0, 2]
         if x * x + y * y > square:
-            is_free[region[i, 0]] = True
+            pixel = region[i, 0]
+            free[pixel, 0], free[pixel, 1] = edges[pixel, 0], edges[pixel, 1]
             size -= 1
             for j in range(3):
                 region[i, j] = region[size, j]
@@ -195,25 +209,24 @@ def _cut(region, size, is_free, square):
     return size
 
 
-@kernel('float64[:, ::1](float32[:, ::1], int64[::1], int64, int64)')
+@kernel('float64[:, ::1](float32[:, ::1], int32[::1], int64, int64)')
 def _segments(edges, order, width, fewest):
     """Return the segments (N, 4) in pixels of the rows of edges."""
-    is_free = np.zeros(len(edges), np.bool_)
-    for i in range(len(order)):
-        is_free[order[i]] = True
+    # The directions of pixels that are in no region, 0 elsewhere: such a pixel has no direction.
+    free = edges[:, :2].copy()
     region, box = np.empty((len(order), 3), np.int32), np.empty(5)
     # A region that is cut may keep two pixels only.
     found, count = np.empty((len(order) // 2 + 1, 4)), 0
     for i in range(len(order)):
-        if not is_free[order[i]]:
+        region[0, 0] = first = order[i]
+        if free[first, 0] == 0 and free[first, 1] == 0:
             continue
-        region[0, 0] = order[i]
         size, tries, cosine, square = 0, 0, math.cos(TOLERANCE_RAD), 0.0
         while True:
             if tries < 2:
-                size = _grow(region, width, is_free, edges, cosine)
+                size = _grow(region, width, free, edges, cosine)
             else:
-                size = _cut(region, size, is_free, square)
+                size = _cut(region, size, free, edges, square)
             if size < (2 if tries else fewest):
                 break
             if _fit_box(region, size, edges, box) >= LEAST_DENSITY:
@@ -222,7 +235,7 @@ def _segments(edges, order, width, fewest):
                 count += 1
                 break
             if tries == 0:
-                cosine = _narrower(region, size, is_free, edges, box[4])
+                cosine = _narrower(region, size, free, edges, box[4])
             elif tries == 1:
                 square = max((box[0] - region[0, 1]) ** 2 + (box[1] - region[0, 2]) ** 2,
                              (box[2] - region[0, 1]) ** 2 + (box[3] - region[0, 2]) ** 2)

@@ -49,6 +49,7 @@ from plane_detector.directions.prior import (
     TAKEN_AS_UPRIGHT,
     Expected,
     Modes,
+    Mounted,
     mounted_density,
     prior_density,
 )
@@ -166,7 +167,7 @@ def upright_posterior(evidence: Evidence, expected: Expected) -> tuple[np.ndarra
     grid = _coarse_grid()
     prior = prior_density(grid.axes, expected, evidence.log_mountings, COARSE_ERROR_DEG,
                           grid.mounted)
-    of_frames = np.log(prior[0].reshape(-1, 6).sum(axis=1)).reshape(grid.azimuths.shape)
+    of_frames = np.log(prior[0].reshape(-1, 6) @ np.ones(6)).reshape(grid.azimuths.shape)
     score = (grid.log_area + of_frames
              + sum(log_likelihood(grid.bases, np.radians(grid.azimuths), evidence,
                                   np.radians(COARSE_ERROR_DEG))))
@@ -222,7 +223,7 @@ def _with_normal_error(evidence: Evidence) -> Evidence:
     grid = _sparse_grid()
     log_prior = grid.log_area + np.log(prior_density(
         grid.axes, Expected(), evidence.log_mountings, COARSE_ERROR_DEG, grid.mounted
-    )[0].reshape(-1, 6).sum(axis=1)).reshape(grid.azimuths.shape)
+    )[0].reshape(-1, 6) @ np.ones(6)).reshape(grid.azimuths.shape)
     alone = replace(evidence, lines=evidence.lines[:0])
     bases, azimuths = grid.bases, np.radians(grid.azimuths)
     tried = [replace(alone, normal_rad=np.radians(sigma_deg)) for sigma_deg in NORMAL_DEG]
@@ -240,7 +241,7 @@ class _CoarseGrid:
     bases: np.ndarray  # (V, 3, 3) float64
     log_area: np.ndarray  # (V, A) float64: of the cells; -inf for a frame that is another cell's
     axes: np.ndarray  # (V * A * 6, 3) float64: both directions of the axes of each frame
-    mounted: np.ndarray  # (5, V * A * 6) float64: their :func:`mounted_density`
+    mounted: Mounted
 
 
 @cache
@@ -255,7 +256,7 @@ def _coarse_grid() -> _CoarseGrid:
     axes = _both_ways(frames[used].reshape(-1, 3, 3))
     return _CoarseGrid(tilts[used], azimuths[used], bases[used],
                        np.where(is_closest, log_area[:, None], -np.inf)[used],
-                       axes, mounted_density(axes))
+                       axes, Mounted(mounted_density(axes)))
 
 
 @cache
@@ -266,7 +267,8 @@ def _sparse_grid() -> _CoarseGrid:
     return _CoarseGrid(
         grid.tilts[near], grid.azimuths[near, ::2], grid.bases[near], grid.log_area[near, ::2],
         grid.axes.reshape(count, azimuths, 6, 3)[near, ::2].reshape(-1, 3),
-        grid.mounted.reshape(5, count, azimuths, 6)[:, near, ::2].reshape(5, -1))
+        Mounted(grid.mounted.densities.reshape(5, count, azimuths, 6)[:, near, ::2].reshape(
+            5, -1)))
 
 
 def _frames(bases: np.ndarray, azimuths_deg: np.ndarray) -> np.ndarray:

@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -68,30 +69,17 @@ class Modes:
     unsided: np.ndarray  # (K,) float64: the same without the evidence of the sides of the image
     gain: float = 0.0  # log likelihood of everything except upright lines at the main mode
 
-    def density(self, downs: np.ndarray, error_rad: float) -> np.ndarray:
-        """Return the density (C,) at verticals (C, 3), 1/sr, blurred by an error."""
+    def bells(self, error_rad: float) -> np.ndarray:
+        """
+        Return the normal densities (K, 13) of the modes, 1/sr, blurred by an error.
+
+        The columns are the mean (3), the inverse covariance (9) and the density of the mean.
+        """
         wide = self.covariances + error_rad**2 * np.eye(3)
         along = np.einsum('ki,kij,kj->k', self.downs, wide, self.downs)
         areas = 2 * np.pi * np.sqrt(np.linalg.det(wide) / along)
-        return _sum_of_bells(np.ascontiguousarray(downs), self.downs, np.linalg.inv(wide),
-                             self.unsided / areas)
-
-
-@kernel('float64[::1](float64[:, ::1], float64[:, ::1], float64[:, :, ::1], float64[::1])')
-def _sum_of_bells(points, means, inverses, peaks):
-    """Return the sum of normal densities at points."""
-    sums = np.zeros(len(points))
-    for k in range(len(means)):
-        xx, yy, zz = inverses[k, 0, 0], inverses[k, 1, 1], inverses[k, 2, 2]
-        xy, xz, yz = inverses[k, 0, 1], inverses[k, 0, 2], inverses[k, 1, 2]
-        for i in range(len(points)):
-            x, y, z = (points[i, 0] - means[k, 0], points[i, 1] - means[k, 1],
-                       points[i, 2] - means[k, 2])
-            square = (xx * x * x + yy * y * y + zz * z * z
-                      + 2 * (xy * x * y + xz * x * z + yz * y * z))
-            if square < FAR_SQUARE:
-                sums[i] += peaks[k] * np.exp(-0.5 * square)
-    return sums
+        return np.hstack([self.downs, np.linalg.inv(wide).reshape(-1, 9),
+                          (self.unsided / areas)[:, None]])
 
 
 @dataclass(frozen=True)
@@ -112,39 +100,86 @@ class Expected:
     turning: np.ndarray | None = None
 
 
+@dataclass(frozen=True)
+class Mounted:
+    """How cameras are mounted for which verticals are down."""
+
+    densities: np.ndarray  # (5, N) float64: as of :func:`mounted_density`
+
+    @cached_property
+    def steadiness(self) -> np.ndarray:
+        """Weight (N,) of what previous views showed."""
+        return (self.densities / PEAKS).max(axis=0) ** STEADY
+
+
 def prior_density(downs: np.ndarray, expected: Expected, log_mountings: Sequence[float],
-                  error_deg: float, mounted: np.ndarray | None = None) -> np.ndarray:
+                  error_deg: float, mounted: Mounted | None = None) -> np.ndarray:
     """
     Return the prior density (2, N) of verticals (N, 3), 1/sr, blurred by an error.
 
     The second one omits the evidence of the sides of the image, the log likelihoods of the five
-    mountings. ``mounted`` (5, N) is their :func:`mounted_density`, if it is known. They are never
-    0.
+    mountings. ``mounted`` are those of these verticals, if they are known. They are never 0.
     """
+    held, turned, bells, rest = np.ones(len(downs)), np.eye(3), np.zeros((0, 13)), 1.0
     if expected.down is not None:
         sigma_rad = np.radians(math.hypot(expected.sigma_deg, error_deg))
         off_rad = np.arccos((downs @ expected.down).clip(-1, 1))
-        anywhere = np.exp(-0.5 * (off_rad / sigma_rad) ** 2) / (2 * np.pi * sigma_rad**2)
-        turned = 1.0
+        densities, likelihoods = np.exp(-0.5 * (off_rad / sigma_rad) ** 2)[None] / (
+            2 * np.pi * sigma_rad**2), np.ones(1)
     else:
-        mounted = mounted_density(downs) if mounted is None else mounted
-        anywhere = mounted.sum(axis=0) + TINY
-        turned = (np.exp(log_mountings) @ mounted + TINY) / anywhere
+        mounted = mounted or Mounted(mounted_density(downs))
+        densities, likelihoods = mounted.densities, np.exp(log_mountings)
         if expected.turning is not None:
-            turned = turned * turned_about(downs, expected.turning)
+            turned = likelihood_of_turning(expected.turning)
     if expected.before is not None:
         before, kept = expected.before, expected.kept
-        seen = kept * before.density(downs, np.radians(error_deg))
+        bells = before.bells(np.radians(error_deg))
+        bells[:, -1] *= kept
         rest = 1 - kept * min(before.unsided.sum(), 1.0)
-        held = 1.0 if expected.down is not None else (mounted / PEAKS).max(axis=0) ** STEADY
-        anywhere = (seen + rest * anywhere) * held
-    return np.stack([anywhere * turned, np.broadcast_to(anywhere, len(downs))]) + TINY
+        held = held if expected.down is not None else mounted.steadiness
+    return _density(np.ascontiguousarray(downs), densities, likelihoods, turned,
+                    (held, bells, rest))
 
 
-def turned_about(downs: np.ndarray, turning: np.ndarray) -> np.ndarray:
-    """Return the likelihood (N,) of the rotation (3, 3) of a camera with verticals (N, 3)."""
-    about = np.einsum('ij,ij->i', downs @ turning, downs) + LITTLE_TURN_RAD**2 / 3
-    return about / (np.trace(turning) + LITTLE_TURN_RAD**2)
+@kernel('float64[:, ::1](float64[:, ::1], float64[:, ::1], float64[::1], float64[:, ::1], '
+        'Tuple((float64[::1], float64[:, ::1], float64)))')
+def _density(downs, densities, likelihoods, turned, before):
+    """
+    Return the prior (2, N) of :func:`prior_density` at verticals (N, 3).
+
+    Of mountings (M, N) and their likelihoods (M,), times the likelihood of the rotation of the
+    camera and, after previous views, their normal densities and the weight (N,) of these.
+    """
+    held, bells, rest = before
+    found, seen = np.full((2, len(downs)), TINY), np.zeros(len(downs))
+    sided, anywhere = found[0], found[1]
+    for k in range(len(densities)):
+        for i in range(len(downs)):
+            anywhere[i] += densities[k, i]
+            sided[i] += likelihoods[k] * densities[k, i]
+    for k in range(len(bells)):
+        b = bells[k]
+        for i in range(len(downs)):
+            x, y, z = downs[i, 0] - b[0], downs[i, 1] - b[1], downs[i, 2] - b[2]
+            square = (b[3] * x * x + b[7] * y * y + b[11] * z * z
+                      + 2 * (b[4] * x * y + b[5] * x * z + b[8] * y * z))
+            if square < FAR_SQUARE:
+                seen[i] += b[12] * np.exp(-0.5 * square)
+    for i in range(len(downs)):
+        x, y, z = downs[i, 0], downs[i, 1], downs[i, 2]
+        share = sided[i] / anywhere[i] * (
+            turned[0, 0] * x * x + turned[1, 1] * y * y + turned[2, 2] * z * z
+            + 2 * (turned[0, 1] * x * y + turned[0, 2] * x * z + turned[1, 2] * y * z))
+        anywhere[i] = (seen[i] + rest * anywhere[i]) * held[i]
+        sided[i] = anywhere[i] * share + TINY
+        anywhere[i] += TINY
+    return found
+
+
+def likelihood_of_turning(turning: np.ndarray) -> np.ndarray:
+    """Return the form (3, 3) d^T form d in verticals d, the likelihood of a rotation (3, 3)."""
+    return (turning + LITTLE_TURN_RAD**2 / 3 * np.eye(3)) / (
+        np.trace(turning) + LITTLE_TURN_RAD**2)
 
 
 def held_density(down: np.ndarray) -> float:

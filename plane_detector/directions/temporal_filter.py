@@ -24,6 +24,8 @@ from functools import cached_property
 import cv2
 import numpy as np
 
+from plane_detector._runtime.compilation import kernel
+from plane_detector.directions.frames import turn_by_solution
 from plane_detector.directions.line_segments import LineSegments
 from plane_detector.directions.prior import Expected, Modes
 from plane_detector.directions.surfaces import Sides
@@ -194,41 +196,87 @@ def turn_between_images(before: LineSegments, after: LineSegments) -> tuple[np.n
 
     The support is the share of the line length that follows this rotation; 0 if unknown.
     """
-    first, second = _matches(before, after)
+    match = _matches(before.midpoints, before.tangents, after.midpoints, after.tangents)
+    first = np.flatnonzero(match >= 0)
     if len(first) < MIN_MATCHES:
         return np.zeros(3), 0.0
-    planes_before, planes_after = (_plane_normals(segments)[index] for segments, index in (
-        (before, first), (after, second)))
-    planes_after = planes_after * np.sign((planes_before * planes_after).sum(1))[:, None]
-    turn = np.zeros(3)
+    second = match[first]
+    planes_before, planes_after = before.unit_normals[first], after.unit_normals[second]
+    planes_after *= np.sign((planes_before * planes_after).sum(1))[:, None]
     lengths = np.minimum(before.lengths[first], after.lengths[second])
+    rotation, off = _refitted(planes_before, planes_after, lengths, LINE_SPREAD_RAD, np.eye(3))
+    follows = off < MOST_SPREADS * LINE_SPREAD_RAD
+    return (cv2.Rodrigues(rotation)[0][:, 0],
+            lengths[follows].sum() / min(before.lengths.sum(), after.lengths.sum()))
+
+
+@kernel('int64[::1](float64[:, ::1], float64[:, ::1], float64[:, ::1], float64[:, ::1])',
+        is_short=True)
+def _matches(midpoints, tangents, other_midpoints, other_tangents):
+    """Return the index (N,) of the mutual nearest neighbour of each segment, -1 if none."""
+    count = len(other_midpoints)
+    others = np.empty((4, count))
+    x, y, along_x, along_y = others[0], others[1], others[2], others[3]
+    for j in range(count):
+        x[j], y[j] = other_midpoints[j, 0], other_midpoints[j, 1]
+        along_x[j], along_y[j] = other_tangents[j, 0], other_tangents[j, 1]
+    best, back = np.full(len(midpoints), -1), np.full(count, -1)
+    cost, least_back = np.empty(count), np.ones(count)
+    for i in range(len(midpoints)):
+        for j in range(count):
+            far_x, far_y = x[j] - midpoints[i, 0], y[j] - midpoints[i, 1]
+            sine = tangents[i, 0] * along_y[j] - tangents[i, 1] * along_x[j]
+            cost[j] = (np.sqrt(far_x * far_x + far_y * far_y) / MATCH_DISTANCE
+                       + abs(sine) / MATCH_SINE)
+        least = 1.0
+        for j in range(count):
+            if cost[j] < least:
+                least, best[i] = cost[j], j
+            if cost[j] < least_back[j]:
+                least_back[j], back[j] = cost[j], i
+    for i in range(len(best)):
+        if best[i] >= 0 and back[best[i]] != i:
+            best[i] = -1
+    return best
+
+
+@kernel('Tuple((float64[:, ::1], float64[::1]))(float64[:, ::1], float64[:, ::1], float64[::1], '
+        'float64, float64[:, ::1])', is_short=True)
+def _refitted(before, after, weights, spread, start):
+    """
+    Return the rotation (3, 3) of vectors before to those after, and by how much each is off.
+
+    It is found by least squares, with weights that fall with the deviation over its spread; the
+    deviations (N,) are those of the last weights.
+    """
+    columns, off = start.T.copy(), np.empty(len(before))
+    moment, right = np.empty((3, 3)), np.empty(3)
     for _ in range(ROUNDS):
-        turned = planes_before @ cv2.Rodrigues(turn)[0].T
-        residual = planes_after - turned
-        weight = lengths / (1 + (residual**2).sum(1) / LINE_SPREAD_RAD**2)
-        # turn x n = residual, i.e. -[n]x turn; the moment is the sum of w (I - n n^T).
-        moment = (weight.sum() + 1e-9) * np.eye(3) - (turned.T * weight) @ turned
-        turn = turn + cv2.solve(moment, (weight @ cross(turned, residual))[:, None])[1][:, 0]
-    follows = np.linalg.norm(residual, axis=1) < MOST_SPREADS * LINE_SPREAD_RAD
-    return turn, lengths[follows].sum() / min(before.lengths.sum(), after.lengths.sum())
-
-
-def _matches(before: LineSegments, after: LineSegments) -> tuple[np.ndarray, np.ndarray]:
-    """Return the indices of segments that are mutual nearest neighbours."""
-    if not len(before) or not len(after):
-        return np.zeros(0, int), np.zeros(0, int)
-    x, y = (before.midpoints[:, None, axis] - after.midpoints[:, axis] for axis in (0, 1))
-    sine = np.abs(before.tangents[:, :1] * after.tangents[:, 1]
-                  - before.tangents[:, 1:] * after.tangents[:, 0])
-    cost = np.sqrt(x * x + y * y) / MATCH_DISTANCE + sine / MATCH_SINE
-    best, back = cost.argmin(1), cost.argmin(0)
-    index = np.arange(len(before))
-    mutual = (back[best] == index) & (cost[index, best] < 1)
-    return index[mutual], best[mutual]
-
-
-def _plane_normals(segments: LineSegments) -> np.ndarray:
-    return segments.normals / np.linalg.norm(segments.normals, axis=1, keepdims=True)
+        moment[:], right[:] = 0.0, 0.0
+        for i in range(len(before)):
+            b = before[i]
+            x = b[0] * columns[0, 0] + b[1] * columns[1, 0] + b[2] * columns[2, 0]
+            y = b[0] * columns[0, 1] + b[1] * columns[1, 1] + b[2] * columns[2, 1]
+            z = b[0] * columns[0, 2] + b[1] * columns[1, 2] + b[2] * columns[2, 2]
+            dx, dy, dz = after[i, 0] - x, after[i, 1] - y, after[i, 2] - z
+            square = dx * dx + dy * dy + dz * dz
+            off[i], weight = np.sqrt(square), weights[i] / (1 + square / (spread * spread))
+            # turn x n = (dx, dy, dz), i.e. -[n]x turn; the moment is the sum of w (I - n n^T).
+            moment[0, 0] += weight * (1 - x * x)
+            moment[1, 1] += weight * (1 - y * y)
+            moment[2, 2] += weight * (1 - z * z)
+            moment[0, 1] -= weight * x * y
+            moment[0, 2] -= weight * x * z
+            moment[1, 2] -= weight * y * z
+            right[0] += weight * (y * dz - z * dy)
+            right[1] += weight * (z * dx - x * dz)
+            right[2] += weight * (x * dy - y * dx)
+        for k in range(3):
+            moment[k, k] += 1e-9
+            for j in range(k):
+                moment[k, j] = moment[j, k]
+        turn_by_solution(columns, moment, right)
+    return columns.T.copy(), off
 
 
 def turn_between_points(before: ImagePoints, after: ImagePoints) -> tuple[np.ndarray, float]:
@@ -252,27 +300,55 @@ def turn_between_points(before: ImagePoints, after: ImagePoints) -> tuple[np.nda
         rays_before[one], rays_before[other]).transpose(0, 2, 1)
     off = np.linalg.norm(rays_before @ rotations.transpose(0, 2, 1) - rays_after, axis=2)
     rotation = rotations[(1 / (1 + (off / POINT_SPREAD_RAD) ** 2)).sum(axis=1).argmax()]
-    for _ in range(ROUNDS):
-        turned = rays_before @ rotation.T
-        residual = rays_after - turned
-        weight = 1 / (1 + (residual**2).sum(1) / POINT_SPREAD_RAD**2)
-        moment = (weight.sum() + 1e-9) * np.eye(3) - (turned.T * weight) @ turned
-        turn = cv2.solve(moment, (weight @ cross(turned, residual))[:, None])[1]
-        rotation = cv2.Rodrigues(turn)[0] @ rotation
-    follows = (np.linalg.norm(residual, axis=1) < MOST_SPREADS * POINT_SPREAD_RAD).mean()
+    rotation, off = _refitted(rays_before, rays_after, np.ones(len(rays_before)),
+                              POINT_SPREAD_RAD, rotation)
+    follows = (off < MOST_SPREADS * POINT_SPREAD_RAD).mean()
     return cv2.Rodrigues(rotation)[0][:, 0], float(follows) * (follows > LEAST_FOLLOWING)
 
 
 def _close_descriptors(first: np.ndarray,
                        second: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the descriptors that are mutual nearest neighbours, and the bits that differ."""
-    # A product of bits as -1 and 1 counts the equal ones, in half the time of OpenCV's matcher.
-    signs = [2 * np.unpackbits(one, axis=1).astype(np.float32) - 1 for one in (first, second)]
-    bits = (signs[0].shape[1] - signs[0] @ signs[1].T) / 2
-    best, back = bits.argmin(axis=1), bits.argmin(axis=0)
-    found = np.flatnonzero((back[best] == np.arange(len(best)))
-                           & (bits.min(axis=1) < MOST_BITS))
-    return found, best[found], bits[found, best[found]]
+    best, bits = _closest(first.view(np.uint64), np.ascontiguousarray(second.view(np.uint64).T))
+    found = np.flatnonzero(best >= 0)
+    return found, best[found], bits[found]
+
+
+@kernel('Tuple((int64[::1], int64[::1]))(uint64[:, ::1], uint64[:, ::1])', is_short=True)
+def _closest(first, second):
+    """
+    Return the mutual nearest neighbours (N,) of descriptors, -1 if none, and the bits that differ.
+
+    The first ones are (N, 4), the others (4, M).
+    """
+    count = second.shape[1]
+    best, least = np.full(len(first), -1), np.full(len(first), MOST_BITS)
+    back, least_back = np.full(count, -1), np.full(count, 64 * len(second))
+    bits = np.empty(count, np.int64)
+    for i in range(len(first)):
+        bits[:] = 0
+        for k in range(len(second)):
+            word = first[i, k]
+            for j in range(count):
+                bits[j] += _bit_count(word ^ second[k, j])
+        for j in range(count):
+            if bits[j] < least[i]:
+                least[i], best[i] = bits[j], j
+            if bits[j] < least_back[j]:
+                least_back[j], back[j] = bits[j], i
+    for i in range(len(first)):
+        if best[i] >= 0 and back[best[i]] != i:
+            best[i] = -1
+    return best, least
+
+
+@kernel('int64(uint64)')
+def _bit_count(x):
+    """Return the number of bits that are set, an instruction of most processors."""
+    x -= (x >> np.uint64(1)) & np.uint64(0x5555555555555555)
+    x = (x & np.uint64(0x3333333333333333)) + ((x >> np.uint64(2)) & np.uint64(0x3333333333333333))
+    x = (x + (x >> np.uint64(4))) & np.uint64(0x0f0f0f0f0f0f0f0f)
+    return np.int64((x * np.uint64(0x0101010101010101)) >> np.uint64(56))
 
 
 def _from_pairs(first: np.ndarray, second: np.ndarray) -> np.ndarray:
