@@ -235,15 +235,17 @@ def _mounting(found: PlaneSegmentation, seen: Seen, ways: Ways, gravity: Gravity
         _, own = own_floor(found, seen, ways, gravity, config.ground.max_slope, 0.0)
     if own is None or own == len(found.planes) or not (stated_m > 0 or is_stated):
         return None
-    plane, down = found.planes[own], gravity.gravity_camera
-    variances = np.linalg.eigvalsh(plane.covariance[:3, :3])[-1], plane.covariance[3, 3]
+    planes, down = found.planes, gravity.gravity_camera
+    normal, offset_m = planes.normals[own], float(planes.offsets_m[own])
+    variances = np.linalg.eigvalsh(planes.covariances[own, :3, :3])[-1], planes.covariances[
+        own, 3, 3]
     tilt_sigma, height_sigma_m = np.sqrt(np.maximum(variances, 0.0))
-    bend_m = found.systematic_noise * plane.offset_m * plane.centroid_m[2]
-    stated_tilt_deg, tilt_deg = np.degrees(np.arcsin(np.clip([down[2], -plane.normal[2]], -1, 1)))
-    angle_deg = np.degrees(np.arccos(np.clip(-plane.normal @ down, -1, 1)))
+    bend_m = found.systematic_noise * offset_m * planes.centroids_m[own, 2]
+    stated_tilt_deg, tilt_deg = np.degrees(np.arcsin(np.clip([down[2], -normal[2]], -1, 1)))
+    angle_deg = np.degrees(np.arccos(np.clip(-normal @ down, -1, 1)))
     return Mounting(
-        float(stated_m), plane.offset_m, float(SIGMAS * np.hypot(height_sigma_m, bend_m)
-                                               + max(TAPE_M, TAPE_SHARE * plane.offset_m)),
+        float(stated_m), offset_m, float(SIGMAS * np.hypot(height_sigma_m, bend_m)
+                                         + max(TAPE_M, TAPE_SHARE * offset_m)),
         *(float(value) if is_stated else np.nan for value in (
             stated_tilt_deg, tilt_deg, angle_deg,
             gravity.tolerance_deg + np.degrees(SIGMAS * tilt_sigma))))

@@ -76,7 +76,7 @@ def own_floor(found: PlaneSegmentation, seen: Seen, ways: Ways, gravity: Gravity
     # A piece of a curved surface is level by chance.
     is_plane = plane_count is None or own < plane_count
     if is_coarse or is_plane and surfaces.slopes_deg[own] <= tolerance_deg:
-        down = -planes[own].normal
+        down = -planes.normals[own]
     return down, own
 
 
@@ -121,10 +121,10 @@ def _ends_before_robot(seen: Seen, surfaces: Surfaces, k: int, error: float) -> 
     inverse_z = sight / -surfaces.offsets[k]  # of the plane, by the pixel
     is_on = is_down & (labels[::8, ::8].ravel() == k)
     is_through = is_down & (z * (inverse_z - error) > 1.0 + ONE_FLOOR)
-    across = np.linalg.svd(down[None])[2][1:]  # two level axes
-    plan = rays @ across.T / np.maximum(inverse_z, 1e-9)[:, None]
     if not (is_on.any() and is_through.any()):
         return False
+    across = np.linalg.svd(down[None])[2][1:]  # two level axes
+    plan = rays @ across.T / np.maximum(inverse_z, 1e-9)[:, None]
     ahead = across[:, 2]  # the optical axis
     angles = np.arctan2(ahead[1], ahead[0]) + np.radians(np.linspace(
         -MOST_SKEW_DEG, MOST_SKEW_DEG, DIRECTIONS))

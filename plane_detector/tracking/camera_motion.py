@@ -13,13 +13,15 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
+from plane_detector._runtime.compilation import kernel
 from plane_detector.types import Planes
 
 # chosen: a change of a millionth changes no label; a stationary camera needs two rounds.
 _MOST_ROUNDS, _CONVERGED = 8, 1e-6
+# derived: each sweep squares what is left; twice as many as reach the rounding of float64 from 1.
+_MOST_SWEEPS, _TINY = 10, 1e-15
 # Weight of the prior for no rotation; all planes together have weight 1.
 _NO_TURN_WEIGHT = 0.03
 # Lower bound of the standard deviation between normals, however small the covariance of the fit.
@@ -54,7 +56,7 @@ def estimate_motion(before: Planes, after: Planes, pairs: tuple[np.ndarray, np.n
     """
     Estimate the motion from planes visible in both images.
 
-    1. Estimate the rotation between the normals (Kabsch 1976).
+    1. Estimate the rotation between the normals (Horn 1987).
     2. Estimate translation and scale by least squares.
 
     Both are reweighted with Cauchy's function, so that a few wrong pairs have little effect. The
@@ -80,23 +82,88 @@ def estimate_motion(before: Planes, after: Planes, pairs: tuple[np.ndarray, np.n
     return PlaneMotion(rotation, translation_m, scale)
 
 
-def _rotation(before: np.ndarray, after: np.ndarray, weights: np.ndarray) -> np.ndarray:
+@kernel('float64(float64)')
+def _cauchy_of_square(squared_ratio):
+    return 1.0 / (1.0 + squared_ratio)
+
+
+@kernel('float64[:, ::1](float64[:, ::1], float64[:, ::1], float64[::1])', is_short=True)
+def _rotation(before, after, weights):
     """Return the rotation (3, 3) from the previous normals (N, 3) to the current ones."""
-    rotation, prior = np.eye(3), _NO_TURN_WEIGHT * np.eye(3)
-    robust, caution = weights, _FIRST_CAUTION
+    rotation, last, robust, caution = np.eye(3), np.empty((3, 3)), weights.copy(), _FIRST_CAUTION
+    products = np.empty((3, 3))
     for _ in range(_MOST_ROUNDS):
-        # OpenCV: the overhead of numpy is several times larger for so few numbers.
-        _, left, right = cv2.SVDecomp((after.T * robust) @ before + caution * prior)
-        if cv2.determinant(left @ right) < 0:
-            left[:, 2] *= -1
-        last, rotation = rotation, left @ right
-        if abs(rotation - last).max() < _CONVERGED:
+        for i in range(3):
+            for j in range(3):
+                products[i, j] = caution * _NO_TURN_WEIGHT if i == j else 0.0
+                for k in range(len(before)):
+                    products[i, j] += robust[k] * before[k, i] * after[k, j]
+                last[i, j] = rotation[i, j]
+        _set_rotation(products, rotation)
+        change = 0.0
+        for i in range(3):
+            for j in range(3):
+                change = max(change, abs(rotation[i, j] - last[i, j]))
+        if change < _CONVERGED:
             break
-        error = before @ rotation.T - after
-        robust = weights * _cauchy_of_square((error * error).sum(axis=1) / _TURN_SPREAD_RAD ** 2)
-        turn_rad = math.acos(min(max((rotation.trace() - 1) / 2, -1.0), 1.0))
+        for k in range(len(before)):
+            error2 = 0.0
+            for i in range(3):
+                error = -after[k, i]
+                for j in range(3):
+                    error += rotation[i, j] * before[k, j]
+                error2 += error * error
+            robust[k] = weights[k] * _cauchy_of_square(error2 / _TURN_SPREAD_RAD**2)
+        cosine = (rotation[0, 0] + rotation[1, 1] + rotation[2, 2] - 1) / 2
+        turn_rad = math.acos(min(max(cosine, -1.0), 1.0))
         caution = _cauchy_of_square((turn_rad / _TURN_SPREAD_RAD) ** 2)
     return rotation
+
+
+@kernel('void(float64[:, ::1], float64[:, ::1])')
+def _set_rotation(m, rotation):
+    """
+    Write the rotation of least squares by the sums m (3, 3) of previous times current vectors.
+
+    It is the quaternion that is the eigenvector of the largest eigenvalue of a matrix (Horn 1987),
+    found by rotations of two axes (Jacobi 1846).
+    """
+    a, axes = np.empty((4, 4)), np.eye(4)
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        a[i + 1, i + 1] = m[i, i] - m[j, j] - m[k, k]
+        a[0, i + 1] = a[i + 1, 0] = m[j, k] - m[k, j]
+        a[j + 1, k + 1] = a[k + 1, j + 1] = m[j, k] + m[k, j]
+    a[0, 0] = m[0, 0] + m[1, 1] + m[2, 2]
+    for _ in range(_MOST_SWEEPS):
+        rest = 0.0
+        for p in range(4):
+            for q in range(p + 1, 4):
+                rest = max(rest, abs(a[p, q]))
+                if a[p, q] == 0:
+                    continue
+                half = (a[q, q] - a[p, p]) / (2 * a[p, q])
+                t = 1 / (abs(half) + math.sqrt(half * half + 1))
+                t = t if half >= 0 else -t
+                c = 1 / math.sqrt(t * t + 1)
+                s = t * c
+                for k in range(4):
+                    a[k, p], a[k, q] = c * a[k, p] - s * a[k, q], s * a[k, p] + c * a[k, q]
+                for k in range(4):
+                    a[p, k], a[q, k] = c * a[p, k] - s * a[q, k], s * a[p, k] + c * a[q, k]
+                    axes[k, p], axes[k, q] = (c * axes[k, p] - s * axes[k, q],
+                                              s * axes[k, p] + c * axes[k, q])
+        if rest <= _TINY * abs(a[0, 0]):
+            break
+    best = 0
+    for k in range(1, 4):
+        best = k if a[k, k] > a[best, best] else best
+    w, x, y, z = axes[0, best], axes[1, best], axes[2, best], axes[3, best]
+    rotation[0, 0], rotation[1, 1] = 1 - 2 * (y * y + z * z), 1 - 2 * (x * x + z * z)
+    rotation[0, 1], rotation[1, 0] = 2 * (x * y - w * z), 2 * (x * y + w * z)
+    rotation[0, 2], rotation[2, 0] = 2 * (x * z + w * y), 2 * (x * z - w * y)
+    rotation[1, 2], rotation[2, 1] = 2 * (y * z - w * x), 2 * (y * z + w * x)
+    rotation[2, 2] = 1 - 2 * (x * x + y * y)
 
 
 def _translation_and_scale(before_m: np.ndarray, normals: np.ndarray, after_m: np.ndarray,
@@ -106,21 +173,39 @@ def _translation_and_scale(before_m: np.ndarray, normals: np.ndarray, after_m: n
     typical_m = float(weights @ distances_m / weights.sum())
     # Unknowns: t as a share of the typical distance, and scale - 1.
     system = np.column_stack([-normals * typical_m, before_m]) / distances_m[:, None]
-    change = (after_m - before_m) / distances_m
-    robust, caution = weights, np.array([1.0, 1.0, 1.0, _FIRST_CAUTION])
-    unknown = np.zeros(4)
-    for _ in range(_MOST_ROUNDS):
-        weighted = system.T * (robust / _OFFSET_SPREAD ** 2)
-        last = unknown
-        normal_equations = weighted @ system + np.diag(caution * _PRIOR)
-        unknown = cv2.solve(normal_equations, (weighted @ change)[:, None])[1][:, 0]
-        if abs(unknown - last).max() < _CONVERGED:
-            break
-        misfit = (system @ unknown - change) / _OFFSET_SPREAD
-        robust = weights * _cauchy_of_square(misfit * misfit)
-        caution = _cauchy_of_square(unknown * unknown * _PRIOR)
+    unknown = _solved(system, (after_m - before_m) / distances_m, weights)
     return unknown[:3] * typical_m, min(max(1.0 + float(unknown[3]), 0.01), 100.0)
 
 
-def _cauchy_of_square(squared_ratio: np.ndarray | float) -> np.ndarray | float:
-    return 1.0 / (1.0 + squared_ratio)
+@kernel('float64[::1](float64[:, ::1], float64[::1], float64[::1])', is_short=True)
+def _solved(system, change, weights):
+    """Return the unknowns (4,) of system @ unknown = change with few outliers."""
+    unknown, last, robust = np.zeros(4), np.empty(4), weights.copy()
+    caution, work = np.ones(4), np.empty((4, 5))
+    caution[3] = _FIRST_CAUTION
+    for _ in range(_MOST_ROUNDS):
+        for i in range(4):
+            last[i] = unknown[i]
+            for j in range(5):
+                work[i, j] = caution[i] * _PRIOR[i] if i == j else 0.0
+                for k in range(len(system)):
+                    work[i, j] += (robust[k] / _OFFSET_SPREAD**2 * system[k, i]
+                                   * (system[k, j] if j < 4 else change[k]))
+        for p in range(4):  # elimination; the prior keeps the pivots above 0
+            for i in range(4):
+                factor = work[i, p] / work[p, p] if i != p else 0.0
+                for j in range(p, 5):
+                    work[i, j] -= factor * work[p, j]
+        moved = 0.0
+        for i in range(4):
+            unknown[i] = work[i, 4] / work[i, i]
+            moved = max(moved, abs(unknown[i] - last[i]))
+            caution[i] = _cauchy_of_square(unknown[i] * unknown[i] * _PRIOR[i])
+        if moved < _CONVERGED:
+            break
+        for k in range(len(system)):
+            misfit = -change[k]
+            for i in range(4):
+                misfit += system[k, i] * unknown[i]
+            robust[k] = weights[k] * _cauchy_of_square((misfit / _OFFSET_SPREAD) ** 2)
+    return unknown

@@ -227,12 +227,14 @@ def _system(table, covariance, columns, cell, is_first, least):
         y += table[cell[i], MEAN_Y] / n
         d += table[cell[i], MEAN_D] / n
     work = np.zeros((n, n + 7), np.float32)
-    row, column = np.empty(n, np.int64), np.empty(n, np.int64)
+    row, column = np.empty(n, np.int32), np.empty(n, np.int32)
     for i in range(n):
         row[i], column[i] = cell[i] // columns, cell[i] % columns
+    by_place, width = covariance.reshape(-1), np.int32(covariance.shape[1])
     for i in range(n):
-        for j in range(i, n):
-            work[i, j] = covariance[abs(row[i] - row[j]), abs(column[i] - column[j])]
+        out, r, c = work[i], row[i], column[i]
+        for j in range(i, n):  # unsigned: no wrap-around check
+            out[j] = by_place[np.uint32(abs(r - row[j]) * width + abs(c - column[j]))]
         work[i, i] += 1 / table[cell[i], MEAN_WEIGHT] - least
         work[i, n], work[i, n + 1] = 1.0, table[cell[i], MEAN_X] - x
         work[i, n + 2], work[i, n + 6] = table[cell[i], MEAN_Y] - y, table[cell[i], MEAN_D] - d

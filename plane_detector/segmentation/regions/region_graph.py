@@ -125,11 +125,11 @@ def merge_pairs(graph: RegionGraph, misfit: Callable[[RegionGraph], np.ndarray],
 
 def _fitting(cost: np.ndarray, most: float) -> list[tuple[int, int]]:
     """Return the pairs that fit, the best first."""
-    if np.isnan(cost).any():
+    if np.isnan(cost.min(initial=np.inf)):
         return []
-    fits = np.flatnonzero(cost <= most)
-    fits = fits[cost.reshape(-1)[fits].argsort(kind='stable')]
-    return [divmod(place, len(cost)) for place in fits.tolist()]
+    rows, columns = (cost <= most).nonzero()
+    order = cost[rows, columns].argsort(kind='stable')
+    return list(zip(rows[order].tolist(), columns[order].tolist(), strict=True))
 
 
 @kernel('Tuple((float64[:, ::1], float64[:, ::1], float64[:, :, ::1]))'
@@ -186,15 +186,30 @@ def add_cell(table, slope, sums, i, k):
 def _merged(graph: RegionGraph, target: int, source: int) -> RegionGraph:
     """Merge region ``source`` into ``target``: all but the labels in place."""
     labels = np.where(graph.labels == source, np.int32(target), graph.labels)
-    graph.owner[graph.owner == source] = target
-    graph.pixels[target] += graph.pixels[source]
-    graph.planes[target] = fit_plane(graph.pixels[target])
-    graph.sums[target] += graph.sums[source]
-    graph.sums[source] = 0
-    graph.borders[target] += graph.borders[source]
-    graph.borders[:, target] += graph.borders[:, source]
-    graph.borders[source] = graph.borders[:, source] = graph.borders[target, target] = 0
+    _merge(graph.owner, graph.planes, graph.pixels, graph.sums, graph.borders, (target, source))
     return replace(graph, labels=labels)
+
+
+@kernel('void(int64[::1], float64[:, ::1], float64[:, ::1], float64[:, ::1], '
+        'float64[:, :, ::1], UniTuple(int64, 2))', is_short=True)
+def _merge(owner, planes, pixels, sums, borders, pair):
+    (target, source), count = pair, len(owner)
+    for k in range(count):
+        owner[k] = target if owner[k] == source else owner[k]
+    add_moments(pixels[target], pixels[source])
+    planes[target, 0], planes[target, 1], planes[target, 2] = fit_plane(pixels[target])
+    for column in range(sums.shape[1]):
+        sums[target, column] += sums[source, column]
+        sums[source, column] = 0.0
+    for k in range(count):
+        for column in range(borders.shape[2]):
+            borders[target, k, column] += borders[source, k, column]
+    for k in range(count):
+        for column in range(borders.shape[2]):
+            borders[k, target, column] += borders[k, source, column]
+            borders[source, k, column] = borders[k, source, column] = 0.0
+    for column in range(borders.shape[2]):
+        borders[target, target, column] = 0.0
 
 
 @kernel('UniTuple(float64, 2)(float64[:, ::1], float64[:, :, ::1], int64, int64)')

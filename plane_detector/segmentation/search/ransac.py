@@ -304,10 +304,11 @@ def supported(planes, gain, least):
     """Keep hypotheses with enough support: the support of the others can only fall."""
     n = 0
     for h in range(len(gain)):
-        for column in range(4):
-            planes[n, column] = planes[h, column]
-        gain[n] = gain[h]
-        n += gain[h] >= least
+        if gain[h] >= least:
+            for column in range(4 if n < h else 0):
+                planes[n, column] = planes[h, column]
+            gain[n] = gain[h]
+            n += 1
     return planes[:n], gain[:n]
 
 
@@ -423,9 +424,10 @@ def grow_cluster(queue, end, start, grids, near):
     (labels, is_taken), (steps, min_samples), head, here = grids, near, end, start
     label = labels[start]
     while True:
-        samples = 0
-        for k in range(len(steps)):  # twice as fast as a loop over the array
+        samples, k = 0, 0
+        while samples < min_samples and k < len(steps):
             samples += labels[np.uint64(here + steps[k])] == label  # unsigned: no wrap-around
+            k += 1
         for k in range(len(steps) if samples >= min_samples else 0):
             p = np.uint64(here + steps[k])
             if labels[p] == label and not is_taken[p]:
