@@ -75,13 +75,15 @@ def occupancy_grid(found: Detection, intrinsics: CameraIntrinsics, to_level: Rig
 
     """
     count = max(round(grid.size / grid.resolution), 1)
-    cells = np.full((count, count), UNKNOWN, np.int8)
+    marked = np.full(count * count + 1, UNKNOWN, np.int8)
+    cells = marked[:-1].reshape(count, count)
     moved = np.column_stack([to_level.rotation, to_level.translation_m])
     pixels = found.ground_result
     # Across a smaller gap, no drop of `min_drop` is less steep than `max_slope`.
     gap_m = ground.min_drop / np.tan(np.radians(max(ground.max_slope, 1.0)))
     _mark(found.depth_m, pixel_rays(intrinsics), moved, pixels.mask, pixels.obstacles,
-          pixels.heights_m, (grid.resolution, grid.max_height, gap_m, ground.min_drop), cells)
+          pixels.heights_m, (grid.resolution, grid.max_height, gap_m, ground.min_drop), count,
+          marked)
     edges = np.floor(to_level.points(pixels.drops_m)[:, :2] / grid.resolution + count / 2)
     for row, column in np.unique(edges[:, ::-1].astype(int), axis=0):
         # With its neighbours, so that there is no gap between two points of an edge.
@@ -101,57 +103,75 @@ def _of_row(moved, y):
 
 
 @kernel(f'void({_FLOATS}, UniTuple(float32[::1], 2), float64[:, ::1], {_MASK}, {_MASK}, '
-        f'{_FLOATS}, UniTuple(float64, 4), int8[:, ::1])', subject='ground_pixels')
-def _mark(depth_m, rays, moved, is_ground, is_obstacle, heights_m, limits, cells):
-    """Mark the cells of ground and, over it, those of obstacles."""
+        f'{_FLOATS}, UniTuple(float64, 4), int64, int8[::1])', subject='ground_pixels')
+def _mark(depth_m, rays, moved, is_ground, is_obstacle, heights_m, limits, count, cells):
+    """
+    Mark the cells of ground and, over it, those of obstacles.
+
+    There are ``count`` rows and columns of cells, and one cell more for the pixels that mark none,
+    so that the loops over the pixels of a row need no branches and are vectorised.
+    """
     (resolution_m, max_height_m, gap_m, step_m), (ray_x, ray_y) = limits, rays
-    per_m = 1 / resolution_m
-    middle, count = cells.shape[0] / 2, cells.shape[0]
+    per_m, middle, outside = 1 / resolution_m, count / 2, np.float64(count * count)
     height, width = depth_m.shape
-    # Places in the level frame, and cells, of the pixels of row v and of the row below.
-    places, found = np.empty((2, width, 3)), np.empty((2, width, 2), np.int64)
+    # Places in the level frame of the pixels of row v and of the row below; NaN without ground.
+    places = np.full((2, 3, width + 1), np.nan)
+    cell_of, is_apart = np.empty(width, np.int32), np.empty(width, np.bool_)
+    # Between pixels nearer than half a cell there is no other; with a margin for rounding.
+    near_sq_m, had_ground = 0.99 * (resolution_m / 2) ** 2, False
     for v in range(-1, height):
-        own, below = v % 2, (v + 1) % 2
-        (a, b, d), (e, f, h), (i, j, k) = _of_row(moved, ray_y[min(v + 1, height - 1)])
-        for u in range(width if v + 1 < height else 0):
-            if is_ground[v + 1, u]:
-                depth, ray = depth_m[v + 1, u], ray_x[u]
-                x, y, z = (a * ray + b) * depth + d, (e * ray + f) * depth + h, (
-                    i * ray + j) * depth + k
-                row, column = int(np.floor(y * per_m + middle)), int(np.floor(x * per_m + middle))
-                places[below, u, 0], places[below, u, 1], places[below, u, 2] = x, y, z
-                found[below, u, 0], found[below, u, 1] = row, column
-                if 0 <= row < count and 0 <= column < count:
-                    cells[row, column] = FREE
-        for u in range(width if v >= 0 else 0):
-            if not is_ground[v, u]:
-                continue
+        own, below, is_last = v % 2, (v + 1) % 2, v + 1 == height
+        next_v, has_ground = min(v + 1, height - 1), False
+        for u in range(width):
+            has_ground |= is_ground[next_v, u]
+        (a, b, d), (e, f, h), (i, j, k) = _of_row(moved, ray_y[next_v])
+        for u in range(width if has_ground or had_ground else 0):
+            depth, ray = depth_m[next_v, u], ray_x[u]
+            x, y = (a * ray + b) * depth + d, (e * ray + f) * depth + h
+            is_here = is_ground[next_v, u] & (not is_last)
+            places[below, 0, u], places[below, 1, u] = x if is_here else np.nan, y
+            places[below, 2, u] = (i * ray + j) * depth + k
+            row, column = np.floor(y * per_m + middle), np.floor(x * per_m + middle)
+            is_inside = is_here & (row >= 0) & (row < count) & (column >= 0) & (column < count)
+            cell_of[u] = np.int32(row * count + column if is_inside else outside)
+        for u in range(width if has_ground else 0):
+            cells[cell_of[u]] = FREE
+        for u in range(width if had_ground else 0):
+            x, y = places[own, 0, u], places[own, 1, u]
+            is_apart[u] = ((places[below, 0, u] - x) ** 2 + (places[below, 1, u] - y) ** 2
+                           > near_sq_m) | (
+                (places[own, 0, u + 1] - x) ** 2 + (places[own, 1, u + 1] - y) ** 2 > near_sq_m)
+        u, has_any, had_ground = -1, had_ground, has_ground
+        while has_any:
+            u += 1
+            while u < width and not is_apart[u]:
+                u += 1
+            if u >= width:
+                break
             # Far away, rows of pixels are farther apart than cells: the ground continues between
             # two adjacent pixels unless a drop might be between them.
             for side in range(2):
-                q, w, other = (v + 1, u, below) if side == 0 else (v, u + 1, own)
-                if q == height or w == width or not is_ground[q, w] or (
-                        found[own, u, 0] == found[other, w, 0]
-                        and found[own, u, 1] == found[other, w, 1]):
-                    continue
-                x, y = places[own, u, 0], places[own, u, 1]
-                dx, dy = places[other, w, 0] - x, places[other, w, 1] - y
+                w, other = (u, below) if side == 0 else (u + 1, own)
+                x, y = places[own, 0, u], places[own, 1, u]
+                dx, dy = places[other, 0, w] - x, places[other, 1, w] - y
                 length_m = np.sqrt(dx * dx + dy * dy)
-                if length_m > gap_m or abs(places[other, w, 2] - places[own, u, 2]) >= step_m:
-                    continue
+                if not length_m <= gap_m or abs(places[other, 2, w] - places[own, 2, u]) >= step_m:
+                    continue  # also NaN
                 steps = 1 + int(length_m * per_m * 2)
                 for step in range(1, steps):
                     share = step / steps
                     row = int(np.floor((y + share * dy) * per_m + middle))
                     column = int(np.floor((x + share * dx) * per_m + middle))
                     if 0 <= row < count and 0 <= column < count:
-                        cells[row, column] = FREE
+                        cells[row * count + column] = FREE
     for v in range(height):
         (a, b, d), (e, f, h), _ = _of_row(moved, ray_y[v])
         for u in range(width):
-            if is_obstacle[v, u] and not heights_m[v, u] > max_height_m:
-                depth, ray = depth_m[v, u], ray_x[u]
-                row = int(np.floor(((e * ray + f) * depth + h) * per_m + middle))
-                column = int(np.floor(((a * ray + b) * depth + d) * per_m + middle))
-                if 0 <= row < count and 0 <= column < count:
-                    cells[row, column] = OCCUPIED
+            depth, ray = depth_m[v, u], ray_x[u]
+            row = np.floor(((e * ray + f) * depth + h) * per_m + middle)
+            column = np.floor(((a * ray + b) * depth + d) * per_m + middle)
+            is_inside = (is_obstacle[v, u] & (not heights_m[v, u] > max_height_m)
+                         & (row >= 0) & (row < count) & (column >= 0) & (column < count))
+            cell_of[u] = np.int32(row * count + column if is_inside else outside)
+        for u in range(width):
+            cells[cell_of[u]] = OCCUPIED

@@ -121,6 +121,8 @@ class SeenGround:
                           self.table, self.down, self.is_ground, self.own,
                           (self.limits.min_drop, SIGMAS * self.sigma))
         ends = ends[ends[:, WAY] >= 0]
+        if not len(ends):
+            return ends, ''
         # It does not matter to a robot where the level behind a drop ends.
         is_open = np.isnan(ends[:, DROP])
         ends = ends[~(is_open & np.isin(ends[:, WAY], ends[~is_open, WAY]))]
