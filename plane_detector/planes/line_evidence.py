@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from plane_detector._runtime.compilation import kernel
 from plane_detector.directions.frames import misalignment
 from plane_detector.directions.line_segments import LineSegments
 
@@ -76,19 +77,26 @@ class RegionLines:
 
 def lines_in_regions(segments: LineSegments, labels: np.ndarray, count: int) -> RegionLines:
     """Assign the lines of the image to regions by their labels (H, W), -1 for none."""
-    return RegionLines(segments, _region_shares(segments, labels, count).T * segments.lengths)
+    beside = _samples_beside(np.ascontiguousarray(segments.ends_px), np.ascontiguousarray(labels),
+                             count)
+    return RegionLines(segments, beside / (2 * SAMPLES) * segments.lengths)
 
 
-def _region_shares(segments: LineSegments, labels: np.ndarray, count: int) -> np.ndarray:
-    """Return the share (N, K) of both sides of each segment that lies in each region."""
-    start, end = segments.ends_px[:, 0], segments.ends_px[:, 1]
-    along = end - start
-    across = np.stack([-along[:, 1], along[:, 0]], 1) / np.linalg.norm(along, axis=1)[:, None]
-    steps = np.linspace(0.1, 0.9, SAMPLES)[:, None]
-    middle = start[:, None] + steps * along[:, None]
-    points = np.concatenate([middle + side * across[:, None] for side in (-SIDE_PX, SIDE_PX)], 1)
-    column, row = np.rint(points).astype(int).transpose(2, 0, 1)
-    found = labels[row.clip(0, labels.shape[0] - 1), column.clip(0, labels.shape[1] - 1)]
-    index = found + 1 + (count + 1) * np.arange(len(segments))[:, None]
-    counts = np.bincount(index.ravel(), minlength=len(segments) * (count + 1))
-    return counts.reshape(len(segments), count + 1)[:, 1:] / (2 * SAMPLES)
+@kernel('int64[:, ::1](float64[:, :, ::1], int32[:, ::1], int64)', is_short=True,
+        subject='network')
+def _samples_beside(ends_px, labels, count):
+    """Return the number (K, N) of samples on both sides of each segment in each region."""
+    found, (height, width) = np.zeros((count, len(ends_px)), np.int64), labels.shape
+    for i in range(len(ends_px)):
+        x, y = ends_px[i, 0, 0], ends_px[i, 0, 1]
+        along_x, along_y = ends_px[i, 1, 0] - x, ends_px[i, 1, 1] - y
+        aside = SIDE_PX / np.sqrt(along_x * along_x + along_y * along_y)
+        for k in range(SAMPLES):
+            share = 0.1 + 0.8 * k / (SAMPLES - 1)
+            for side in (-aside, aside):
+                column = round(x + share * along_x - side * along_y)
+                row = round(y + share * along_y + side * along_x)
+                region = labels[min(max(row, 0), height - 1), min(max(column, 0), width - 1)]
+                if region >= 0:
+                    found[region, i] += 1
+    return found

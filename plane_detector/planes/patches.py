@@ -42,11 +42,15 @@ def colours_in_regions(labels: np.ndarray, patches: np.ndarray, count: int) -> n
     """
     if not patches.size:
         return np.full(count, USUAL_COLOURS)
-    small, kinds = labels[::PATCH_SCALE, ::PATCH_SCALE], int(patches.max()) + 1
-    seen = small >= 0
-    pixels = np.bincount(small[seen] * kinds + patches[seen],
-                         minlength=count * kinds).reshape(count, kinds).astype(float)
+    pixels = _common_pixels(labels[::PATCH_SCALE, ::PATCH_SCALE], patches, count).astype(float)
     return pixels.sum(1) ** 2 / np.maximum((pixels**2).sum(1), 1.0)
+
+
+def _common_pixels(small: np.ndarray, patches: np.ndarray, count: int) -> np.ndarray:
+    """Return the number (K, P) of pixels that regions, labels (h, w), share with patches."""
+    kinds = int(patches.max(initial=0)) + 1
+    pixels = np.bincount(((small + 1) * kinds + patches).ravel(), minlength=(count + 1) * kinds)
+    return pixels.reshape(count + 1, kinds)[1:]
 
 
 def patches_in_regions(labels: np.ndarray, patches: np.ndarray, asked: np.ndarray,
@@ -79,20 +83,32 @@ def patches_in_regions(labels: np.ndarray, patches: np.ndarray, asked: np.ndarra
     ([0, 0, 0, 0, 1, 1, 1, 1], 2)
 
     """
-    small, kinds = labels[::PATCH_SCALE, ::PATCH_SCALE], int(patches.max(initial=0)) + 1
-    inside = np.append(asked, False)[small] & (patches > 0)
-    pair = small[inside] * kinds + patches[inside]
-    pixels = np.bincount(pair, minlength=len(asked) * kinds).reshape(-1, kinds)
-    whole = np.bincount(small[small >= 0], minlength=len(asked))[:, None]
-    is_part = ((pixels >= max(min_pixels / PATCH_SCALE**2, 1))
-               & (pixels < MOST_OF_REGION * whole)).ravel()
-    part, region = np.full((2, *small.shape), -2, np.int32)
-    part[inside] = np.where(is_part, np.cumsum(is_part) - 1, -1)[pair]
-    region[inside] = small[inside]
-    height, width = labels.shape
-    part, region = (one.repeat(PATCH_SCALE, 0)[:height].repeat(PATCH_SCALE, 1)[:, :width]
-                    for one in (part, region))
-    return np.where(labels == region, part, -1), int(is_part.sum())
+    pixels = _common_pixels(labels[::PATCH_SCALE, ::PATCH_SCALE], patches, len(asked))
+    is_part = ((pixels >= max(min_pixels / PATCH_SCALE**2, 1)) & asked[:, None]
+               & (pixels < MOST_OF_REGION * pixels.sum(axis=1, keepdims=True)))
+    is_part[:, 0] = False
+    parts = np.where(is_part, np.cumsum(is_part).reshape(is_part.shape) - 1, -1)
+    count = int(is_part.sum())
+    if not count:
+        return np.full_like(labels, -1), 0
+    return _parted(np.ascontiguousarray(labels), np.ascontiguousarray(patches), parts), count
+
+
+@kernel('int32[:, ::1](int32[:, ::1], int32[:, ::1], int64[:, ::1])', subject='network')
+def _parted(labels, patches, parts):
+    """Return the parts (K, P) of regions and patches as labels (H, W), -1 where there is none."""
+    found = np.full_like(labels, -1)
+    for y in range(patches.shape[0]):
+        for x in range(patches.shape[1]):
+            top, left = y * PATCH_SCALE, x * PATCH_SCALE
+            k = labels[top, left]
+            if k < 0 or parts[k, patches[y, x]] < 0:
+                continue
+            for v in range(top, min(top + PATCH_SCALE, labels.shape[0])):
+                for u in range(left, min(left + PATCH_SCALE, labels.shape[1])):
+                    if labels[v, u] == k:
+                        found[v, u] = parts[k, patches[y, x]]
+    return found
 
 
 def fill_patches(labels: np.ndarray, patches: np.ndarray, planes: Planes, depth_m: np.ndarray,

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -12,7 +11,7 @@ import numpy as np
 
 from plane_detector._runtime.compilation import kernel
 from plane_detector.geometry.projection import pixel_rays
-from plane_detector.geometry.robust import SIGMA_PER_MEDIAN, median
+from plane_detector.geometry.robust import SIGMA_PER_MEDIAN
 from plane_detector.segmentation.cells.model import PixelRegions
 from plane_detector.types import CameraIntrinsics, Planes
 
@@ -89,12 +88,7 @@ class RegionSamples:
         """
         ratio = self.own_cosine / self.disparity  # of plane and depth, times the offset
         bounds = np.searchsorted(self.region, np.arange(self.count + 1))
-        found = np.zeros(self.count)
-        for k, (start, end) in enumerate(itertools.pairwise(bounds)):
-            if end > start:
-                offset = median(ratio[start:end])
-                found[k] = SIGMA_PER_MEDIAN * median(np.abs(ratio[start:end] / offset - 1))
-        return found
+        return SIGMA_PER_MEDIAN * _median_deviations(ratio, bounds)
 
     def joined(self, group: np.ndarray) -> RegionSamples:
         """Return the samples after merging regions: region k becomes ``group[k]``."""
@@ -110,16 +104,77 @@ def sample_regions(regions: PixelRegions, planes: Planes,
     """Sample pixels of regions of 1/z, which belong to planes, on a grid over the image."""
     step = max(1, int(np.sqrt(regions.labels.size / SAMPLES)))
     thinned = (slice(None, None, step),) * 2
-    labels, disparity = regions.labels[thinned], regions.disparity[thinned]
-    ray_x, ray_y = (ray[::step] for ray in pixel_rays(intrinsics))
-    row, column = np.nonzero((labels >= 0) & (disparity > 0))
-    order = np.argsort(labels[row, column], kind='stable')
-    row, column = row[order], column[order]
-    region = labels[row, column].astype(np.int64)
-    rays = np.stack([ray_x[column], ray_y[row], np.ones(len(row))], axis=1)
-    shares = np.bincount(region, minlength=len(planes)) / labels.size
-    return RegionSamples(rays, disparity[row, column].astype(float), region,
-                         -np.einsum('ij,ij->i', planes.normals[region], rays), shares)
+    labels, disparity = (np.ascontiguousarray(image[thinned])
+                         for image in (regions.labels, regions.disparity))
+    ray_x, ray_y = (ray[::step].astype(float) for ray in pixel_rays(intrinsics))
+    found = _sampled(labels, disparity, (ray_x, ray_y), np.ascontiguousarray(planes.normals))
+    return RegionSamples(*found[:4], found[4] / labels.size)
+
+
+@kernel('Tuple((float64[:, ::1], float64[::1], int64[::1], float64[::1], int64[::1]))('
+        'int32[:, ::1], float32[:, ::1], UniTuple(float64[::1], 2), float64[:, ::1])',
+        is_short=True, subject='network')
+def _sampled(labels, disparity, rays, normals):
+    """Return the fields of samples, sorted by region, and their numbers (K,)."""
+    (ray_x, ray_y), counts = rays, np.zeros(len(normals), np.int64)
+    for v in range(labels.shape[0]):
+        for u in range(labels.shape[1]):
+            if labels[v, u] >= 0 and disparity[v, u] > 0:
+                counts[labels[v, u]] += 1
+    places, total = np.empty_like(counts), 0
+    for k in range(len(counts)):
+        places[k], total = total, total + counts[k]
+    seen, inverse = np.ones((total, 3)), np.empty(total)
+    region, cosine = np.empty(total, np.int64), np.empty(total)
+    for v in range(labels.shape[0]):
+        for u in range(labels.shape[1]):
+            k = labels[v, u]
+            if k >= 0 and disparity[v, u] > 0:
+                i, n = places[k], normals[k]
+                seen[i, 0], seen[i, 1] = ray_x[u], ray_y[v]
+                inverse[i], region[i] = disparity[v, u], k
+                cosine[i] = -(n[0] * ray_x[u] + n[1] * ray_y[v] + n[2])
+                places[k] += 1
+    return seen, inverse, region, cosine, counts
+
+
+@kernel('float64[::1](float64[::1], int64[::1])', is_short=True, subject='network')
+def _median_deviations(values, bounds):
+    """Return the median deviation (K,) from the median of parts of values, as a share of it."""
+    found = np.zeros(len(bounds) - 1)
+    for k in range(len(found)):
+        part = values[bounds[k]:bounds[k + 1]].copy()
+        if len(part):
+            middle = _median(part)
+            for i in range(len(part)):
+                part[i] = abs(part[i] / middle - 1)
+            found[k] = _median(part)
+    return found
+
+
+@kernel('float64(float64[::1])')
+def _median(values):
+    """Return the median of at least one value, which are put into another order [Hoare 1961]."""
+    first, last, middle = 0, len(values) - 1, len(values) // 2
+    while first < last:
+        pivot, i, j = values[(first + last) // 2], first, last
+        while i <= j:
+            while values[i] < pivot:
+                i += 1
+            while pivot < values[j]:
+                j -= 1
+            if i <= j:
+                values[i], values[j] = values[j], values[i]
+                i, j = i + 1, j - 1
+        first, last = i if middle >= i else first, j if middle <= j else last
+        if j < middle < i:
+            break
+    if len(values) % 2:
+        return values[middle]
+    below = values[0]
+    for i in range(middle):
+        below = max(below, values[i])
+    return (below + values[middle]) / 2
 
 
 @kernel('float64[::1](float64[:, ::1], float64[::1], int64[::1], float64[:, ::1])',
