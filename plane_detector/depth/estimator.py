@@ -73,7 +73,9 @@ class DepthEstimator:
         self.output, self.needs_lens = self._network.output, self._network.outputs.needs_lens
         self.focal_per_height = self._network.focal_per_height
         self._views = self._network.views
-        self.reason = '; '.join([reason, *passed_over, f'runs on {self.provider}'])
+        on_gpu = f'; depth.providers may name {ON_CUDA}, which is installed'
+        self.reason = '; '.join([reason, *passed_over, f'runs on {self.provider}']) + (
+            on_gpu if ON_CUDA in set(available_providers()) - set(config.providers) else '')
         prediction = self._read(arrays, rgb, plausibility.CORRIDOR_LENS)
         # In a smaller input, a network cannot recognise the checkerboard.
         if min(self.input_size(*plausibility.CORRIDOR_SIZE)) >= MIN_SIDE_PX:

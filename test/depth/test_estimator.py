@@ -83,6 +83,15 @@ def test_providers_are_tried_in_order_and_the_one_in_use_is_reported(tmp_path):
         DepthEstimator(config_for(path, output='auto'))
 
 
+def test_an_installed_gpu_provider_that_is_not_used_is_named(tmp_path, monkeypatch):
+    path = write_depth_network(tmp_path / 'n.onnx', height=4, width=4)
+    assert 'depth.providers' not in DepthEstimator(config_for(path)).reason
+    monkeypatch.setattr(onnx_session.ort, 'get_available_providers',
+                        lambda: ['CUDAExecutionProvider', 'CPUExecutionProvider'])
+    assert DepthEstimator(config_for(path)).reason.endswith(
+        'depth.providers may name CUDAExecutionProvider, which is installed')
+
+
 def test_what_a_provider_lacks_is_named(tmp_path, monkeypatch):
     with pytest.raises(ProviderError, match=r'not in this build.*onnxruntime-gpu\[cuda,cudnn\]'):
         check_provider('CUDAExecutionProvider')
