@@ -20,7 +20,7 @@ from plane_detector.directions.line_segments import LineSegments
 
 # Weights of the four statistics. tuned: multinomial regression of the side that is down, ridge 3,
 # on 244 real images of 44 scenes (docs/results.md), each scene with the same weight. The weights
-# without any one of the scenes are within a twentieth of these.
+# without any one of the scenes are within a fifth of these.
 WEIGHTS = np.array([3.3, 8.1, 13.4, 8.2])
 # Share of the photographs whose statistics show nothing. tuned: the mean log probability of the
 # scenes left out is flat up to 0.05, and falls from 0.1 on.
