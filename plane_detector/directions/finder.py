@@ -16,6 +16,7 @@ from plane_detector.directions.line_segments import (
     detect_line_segments,
     reduced_grey,
 )
+from plane_detector.directions.photograph import NO_SCORE, score_of_sides
 from plane_detector.directions.posterior import collect_evidence
 from plane_detector.directions.prior import TAKEN_AS_UPRIGHT, Expected
 from plane_detector.directions.surfaces import (
@@ -120,19 +121,22 @@ def find_in_image(image: CameraImage, expected: Expected | None = None,
     points, view = ImagePoints(grey, image.intrinsics), first_view(segments)
     if before is not None and before.step is not None:
         expected, view = carried(expected, before.step, segments, points)
-    surface, sides, by_depth = None, view.sides, ()
+    surface, sides, by_sides = None, view.sides, ()
     if image.disparity is not None:
         inverse = usual_inverse_depth(image.disparity) if image.has_shift else image.disparity
         surface, is_step = surface_normals(inverse, image.intrinsics)
+        is_open = mounting == 'any' and expected.down is None
         sides = sides_of(surface[~is_step],
-                         log_odds_down(image.disparity, surface, image.has_shift))
+                         log_odds_down(image.disparity, surface, image.has_shift),
+                         score_of_sides(image.rgb, grey, segments) if is_open else NO_SCORE)
         if view.sides is not None:
             sides = view.sides.with_view(sides)
-        by_depth = (sides.log_odds_down,
-                    (1.0 if image.is_measured else NETWORK_SIDES) * sides.log_likelihood)
+        by_sides = (sides.log_odds_down,
+                    (1.0 if image.is_measured else NETWORK_SIDES) * sides.log_likelihood
+                    + sides.log_likelihood_by_picture)
     if mounting == 'upright':
-        by_depth = (-math.inf, TAKEN_AS_UPRIGHT)
-    evidence = collect_evidence(segments, None if image.has_shift else surface, *by_depth,
+        by_sides = (-math.inf, TAKEN_AS_UPRIGHT)
+    evidence = collect_evidence(segments, None if image.has_shift else surface, *by_sides,
                                 focal_error=GUESSED_FOCAL if image.is_lens_guessed else 0.0)
     directions = find_directions(segments, evidence, expected)
     return ImageDirections(segments, directions, Step(segments, points, directions, view, sides))

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from plane_detector.directions.photograph import NO_SCORE, log_likelihood
 from plane_detector.geometry.rigid_transform import unit
 from plane_detector.types import CameraIntrinsics
 
@@ -61,10 +62,11 @@ SAME_SURFACE_DEG, LEAST_SURFACE, SURFACE_NORMALS = 15.0, 0.05, 200
 
 @dataclass(frozen=True)
 class Sides:
-    """Shares of visible surfaces that face each side of the image, in one view or several."""
+    """What shows which side of the image is down, in one view or several: their mean."""
 
     shares: np.ndarray  # (4,) float64: of the normals, toward bottom, right, top and left
     log_odds_down: float
+    picture: np.ndarray  # (4,) float64: as of :func:`score_of_sides`
     views: int = 1
 
     def with_view(self, other: Sides) -> Sides:
@@ -72,16 +74,22 @@ class Sides:
         mine = self.views / (self.views + other.views)
         return Sides(mine * self.shares + (1 - mine) * other.shares,
                      mine * self.log_odds_down + (1 - mine) * other.log_odds_down,
+                     mine * self.picture + (1 - mine) * other.picture,
                      self.views + other.views)
 
     @property
     def log_likelihood(self) -> np.ndarray:
-        """Log likelihoods (4,) that gravity points to each side of the image, at most 0."""
+        """Log likelihoods (4,), by the surfaces, that gravity points to each side, at most 0."""
         if not self.shares.any():
             return np.zeros(4)
         shares = np.log(self.shares + LEAST_SHARE)
         log_sides = FLOOR_WEIGHT * shares - CEILING_WEIGHT * np.roll(shares, 2)
         return log_sides - log_sides.max()
+
+    @property
+    def log_likelihood_by_picture(self) -> np.ndarray:
+        """The same by the photograph."""
+        return log_likelihood(self.picture)
 
 
 def log_odds_down(disparity: np.ndarray, surface: np.ndarray,
@@ -113,9 +121,10 @@ def log_odds_down(disparity: np.ndarray, surface: np.ndarray,
     return odds - min(math.log((1 - ANY_AHEAD) * usual + ANY_AHEAD), 0.0)
 
 
-def sides_of(surface: np.ndarray, odds_down: float = 0.0) -> Sides:
+def sides_of(surface: np.ndarray, odds_down: float = 0.0,
+             picture: np.ndarray = NO_SCORE) -> Sides:
     """
-    Return the share of a surface that faces each side of the image.
+    Return what a surface and a photograph show about which side of the image is down.
 
     Parameters
     ----------
@@ -123,15 +132,17 @@ def sides_of(surface: np.ndarray, odds_down: float = 0.0) -> Sides:
         Normals of the depth, as for :func:`log_odds_down`, but for those on steps.
     odds_down : float
         As of :func:`log_odds_down`.
+    picture : (4,) floating
+        As of :func:`score_of_sides`.
 
     """
     known = _some_known(surface)
     if not len(known):
-        return Sides(np.zeros(4), odds_down)
+        return Sides(np.zeros(4), odds_down, picture)
     sides = known[:, 1::-1]  # towards the bottom, towards the right
     facing = math.cos(math.radians(FACING_DEG))
     return Sides(np.concatenate([(sides > facing).mean(axis=0), (-sides > facing).mean(axis=0)]),
-                 odds_down)
+                 odds_down, picture)
 
 
 def usual_inverse_depth(disparity: np.ndarray) -> np.ndarray:
