@@ -12,11 +12,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
+from plane_detector._runtime.compilation import kernel
 from plane_detector.directions.photograph import NO_SCORE, log_likelihood
 from plane_detector.geometry.rigid_transform import unit
+from plane_detector.geometry.robust import order_statistics
 from plane_detector.types import CameraIntrinsics
 
 # Values said to be tuned are so as those of posterior.py.
@@ -154,10 +155,11 @@ def usual_inverse_depth(disparity: np.ndarray) -> np.ndarray:
 def _far_and_near(disparity: np.ndarray) -> tuple[float, float]:
     """Return the far and the near tenth of the disparities; 0 if there are none."""
     thinned = disparity[::8, ::8]
-    known = np.sort(thinned[np.isfinite(thinned)])
+    known = thinned[np.isfinite(thinned)]
     if not len(known):
         return 0.0, 0.0
-    return float(known[len(known) // 10]), float(known[len(known) - 1 - len(known) // 10])
+    return tuple(order_statistics(known, rank)[1]
+                 for rank in (len(known) // 10, len(known) - 1 - len(known) // 10))
 
 
 def _some_known(normals: np.ndarray) -> np.ndarray:
@@ -212,40 +214,69 @@ def surface_normals(disparity: np.ndarray,
 
     """
     step = max(1, intrinsics.width // CELLS_PER_ROW)
-    size = intrinsics.width // step, intrinsics.height // step
-    if min(size) < 3:  # a normal needs a cell on each side
+    if min(intrinsics.width, intrinsics.height) // step < 3:  # a normal needs a cell on each side
         return np.zeros((0, 3)), np.zeros(0, bool)
     every = 1 if step % 8 else 2  # pixel of a row; half of them are enough in large cells
-    thinned = disparity[:size[1] * step:every, :size[0] * step:every]
-    total, share = (
-        cv2.resize(image.astype(np.float32, copy=False), size, interpolation=cv2.INTER_AREA)
-        for image in (np.fmax(thinned, 0), thinned > 0))
-    inverse = np.where(share > LEAST_VALID, total / np.maximum(share, LEAST_VALID), np.nan)
-    middle = (step - every) / 2
-    x = (np.arange(1, size[0] - 1) * step + middle - intrinsics.cx) / intrinsics.fx
-    y = (np.arange(1, size[1] - 1) * step + middle - intrinsics.cy) / intrinsics.fy
-    # 1/z = p x + q y + r on a plane with a normal along (p, q, r).
-    p = (inverse[1:-1, 2:] - inverse[1:-1, :-2]) * intrinsics.fx / (2 * step)
-    q = (inverse[2:, 1:-1] - inverse[:-2, 1:-1]) * intrinsics.fy / (2 * step)
-    without_x, without_y = inverse[1:-1, 1:-1] - p * x, inverse[1:-1, 1:-1] - q * y[:, None]
-    normals = np.stack([p, q, without_x - q * y[:, None]], axis=-1).reshape(-1, 3)
-    normals = np.nan_to_num(normals / np.linalg.norm(normals, axis=1, keepdims=True))
-    along_x = np.diff(inverse[1:-1]) * intrinsics.fx / step
-    along_y = np.diff(inverse[:, 1:-1], axis=0) * intrinsics.fy / step
-    sides_x, sides_y = (along_x[:, :-1], along_x[:, 1:]), (along_y[:-1], along_y[1:])
-    least = math.cos(math.radians(STEP_DEG))
-    bends_x = _angle_cosine(q, *((p, without_y - p * x) for p in sides_x)) < least
-    bends_y = _angle_cosine(p, *((q, without_x - q * y[:, None]) for q in sides_y)) < least
-    is_step = bends_x | bends_y
+    normals, bends = _surface(
+        np.ascontiguousarray(disparity, np.float32), step, every,
+        (intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy))
+    is_step = bends.any(axis=2)
     # A step within a cell bends the surface on both sides of it.
-    is_step[:, 1:-1] |= bends_x[:, :-2] & bends_x[:, 2:]
-    is_step[1:-1] |= bends_y[:-2] & bends_y[2:]
-    return normals, is_step.ravel()
+    is_step[:, 1:-1] |= bends[:, :-2, 0] & bends[:, 2:, 0]
+    is_step[1:-1] |= bends[:-2, :, 1] & bends[2:, :, 1]
+    return normals.reshape(-1, 3), is_step.ravel()
 
 
-def _angle_cosine(common: np.ndarray, *others: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+@kernel("Tuple((float64[:, :, ::1], boolean[:, :, ::1]))(Array(float32, 2, 'C', readonly=True), "
+        'int64, int64, UniTuple(float64, 4))', is_short=True)
+def _surface(disparity, step, every, camera):
+    """
+    Return the normals (h, w, 3) of the inner cells, 0 if unknown.
+
+    Also returned is whether the surface bends in each along the row and along the column, by the
+    normals of the two halves (h, w, 2).
+    """
+    (fx, fy, cx, cy), height, width = camera, len(disparity) // step, disparity.shape[1] // step
+    inverse, least = np.full((height, width), np.nan), LEAST_VALID * (-(-step // every)) ** 2
+    for i in range(height):
+        for j in range(width):
+            total, count = np.float32(0), np.int32(0)
+            for v in range(i * step, (i + 1) * step, every):
+                for u in range(j * step, (j + 1) * step, every):
+                    value = disparity[v, u]
+                    total += value if value > 0 else np.float32(0)
+                    count += np.int32(value > 0)
+            if count > least:
+                inverse[i, j] = total / count
+    normals = np.zeros((height - 2, width - 2, 3))
+    bends = np.zeros((height - 2, width - 2, 2), np.bool_)
+    middle, least = (step - every) / 2, np.cos(np.radians(STEP_DEG))
+    for i in range(1, height - 1):
+        y = (i * step + middle - cy) / fy
+        for j in range(1, width - 1):
+            x, here = (j * step + middle - cx) / fx, inverse[i, j]
+            # 1/z = p x + q y + r on a plane with a normal along (p, q, r).
+            before = (here - inverse[i, j - 1]) * fx / step
+            after = (inverse[i, j + 1] - here) * fx / step
+            above = (here - inverse[i - 1, j]) * fy / step
+            below = (inverse[i + 1, j] - here) * fy / step
+            p, q = (before + after) / 2, (above + below) / 2
+            r, n = here - p * x - q * y, normals[i - 1, j - 1]
+            length = np.sqrt(p * p + q * q + r * r)
+            if 0 < length < np.inf:
+                n[0], n[1], n[2] = p / length, q / length, r / length
+            rest = here - q * y
+            bends[i - 1, j - 1, 0] = least > _angle_cosine(
+                q, before, rest - before * x, after, rest - after * x)
+            rest = here - p * x
+            bends[i - 1, j - 1, 1] = least > _angle_cosine(
+                p, above, rest - above * y, below, rest - below * y)
+    return normals, bends
+
+
+@kernel('float64(float64, float64, float64, float64, float64)')
+def _angle_cosine(common, x, z, other_x, other_z):
     """Return the cosine between two normals that share one component, by their other two."""
-    (x, z), (other_x, other_z) = others
     square = common * common
     return (x * other_x + square + z * other_z) / np.sqrt(
         (x * x + square + z * z) * (other_x * other_x + square + other_z * other_z))
