@@ -251,19 +251,9 @@ class Recall:
 
     def _shared_cells(self, labels: np.ndarray, count: int) -> np.ndarray:
         """Return how many cells each region shares with no piece and each, (count, 1 + K)."""
-        return _shared(np.ascontiguousarray(labels), self._memory.labels,
-                       (count, len(self._memory.planes)))
-
-
-@kernel('int64[:, ::1](int32[:, ::1], int32[:, ::1], UniTuple(int64, 2))', is_short=True)
-def _shared(labels, last, counts):
-    """Return how many cells each of some regions shares with no piece and each, (K, 1 + P)."""
-    shared = np.zeros((counts[0], counts[1] + 1), np.int64)
-    for row in range(labels.shape[0]):
-        for column in range(labels.shape[1]):
-            if labels[row, column] >= 0:
-                shared[labels[row, column], last[row, column] + 1] += 1
-    return shared
+        stride = len(self._memory.planes) + 1
+        return np.bincount(((labels + 1) * stride + self._memory.labels + 1).reshape(-1),
+                           minlength=(count + 1) * stride).reshape(-1, stride)[1:]
 
 
 @kernel('int64[:, ::1](int32[:, ::1], int32[:, ::1], boolean[:, ::1], int64)', is_short=True)
@@ -273,12 +263,14 @@ def _regions_before(labels, last, has_changed, count):
     for row in range(labels.shape[0]):
         for column in range(labels.shape[1]):
             most = max(most, labels[row, column])
-    shared, found = _shared(labels, last, (most + 1, count)), np.zeros((most + 1, 3), np.int64)
+    shared, found = np.zeros((most + 1, count + 1), np.int64), np.zeros((most + 1, 3), np.int64)
     for row in range(labels.shape[0]):
         for column in range(labels.shape[1]):
-            if labels[row, column] >= 0:
-                found[labels[row, column], 1] += 1
-                found[labels[row, column], 2] += has_changed[row, column]
+            label = labels[row, column]
+            if label >= 0:
+                shared[label, last[row, column] + 1] += 1
+                found[label, 1] += 1
+                found[label, 2] += has_changed[row, column]
     for label in range(most + 1):
         piece = shared[label].argmax()
         found[label, 0] = piece - 1 if 2 * shared[label, piece] > found[label, 1] else -1
