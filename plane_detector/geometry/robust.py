@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import cv2
@@ -44,15 +45,17 @@ def order_statistics(values: np.ndarray, rank: int) -> tuple[float, float]:
     (2.0, 3.0)
 
     """
-    part, rank, below = _bucket_of(np.ascontiguousarray(values, np.float64), rank)
-    part.sort()
-    return float(part[rank - 1] if rank > 0 else below), float(part[rank])
+    values = np.ascontiguousarray(values, np.float64)
+    low, high = _order_statistics(values, rank)
+    if not math.isnan(high):
+        return low, high
+    values = np.sort(values)
+    return float(values[rank - 1]) if rank else -np.inf, float(values[rank])
 
 
-@kernel("Tuple((float64[::1], int64, float64))(Array(float64, 1, 'C', readonly=True), int64)",
-        is_short=True)
-def _bucket_of(values, rank):
-    """Return a subset with the value of a rank, its rank there, and the largest value below."""
+@kernel("UniTuple(float64, 2)(Array(float64, 1, 'C', readonly=True), int64)", is_short=True)
+def _order_statistics(values, rank):
+    """Return the two values, NaN if some are not finite or all are nearly the same."""
     kept, below = values.copy(), -np.inf
     while len(kept) > 48:
         low, high, is_finite = kept[0], kept[0], True
@@ -60,7 +63,7 @@ def _bucket_of(values, rank):
             low, high = value if value < low else low, value if value > high else high
             is_finite &= abs(value) < np.inf
         if not (is_finite and TINY_RANGE < high - low < np.inf):
-            break  # the caller sorts all of them; NaN and infinity have no bucket
+            return np.nan, np.nan  # NaN and infinity have no bucket
         counts = np.zeros(512, np.int32)
         per = (len(counts) - 1) / (high - low)
         for value in kept:
@@ -76,7 +79,15 @@ def _bucket_of(values, rank):
         for value in kept if rank == 0 else kept[:0]:
             below = max(below, value) if np.int32((value - low) * per) < place else below
         kept = part[:n]
-    return kept, rank, below
+    for k in range(len(kept)):
+        value, m = kept[k], k
+        if not abs(value) < np.inf:
+            return np.nan, np.nan
+        while m > 0 and kept[m - 1] > value:
+            kept[m] = kept[m - 1]
+            m -= 1
+        kept[m] = value
+    return kept[rank - 1] if rank > 0 else below, kept[rank]
 
 
 def quantiles(values: np.ndarray, shares: Sequence[float]) -> list[float]:

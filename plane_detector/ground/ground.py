@@ -139,7 +139,8 @@ def find_ground(found: PlaneSegmentation, depth_m: np.ndarray, intrinsics: Camer
                         np.zeros(len(found.planes) + 1, bool), -1, down32, limits,
                         float(found.disparity_noise), reach, config.depth.max_range,
                         'no floor is seen', tilt_deg)
-    if valid_depth(depth_m[::8, ::8]).mean() < SEEN_SHARE:
+    depths_m = depth_m[::8, ::8]
+    if np.count_nonzero(valid_depth(depths_m)) < SEEN_SHARE * depths_m.size:
         return Ground(classify_planes(found.planes, down, past), _nothing(
             labels, 'nothing is seen: hardly any pixel has a depth up to '
             f'{config.depth.max_depth:g} m', GroundLack.DEPTH, tilt_deg), reach, past=past)

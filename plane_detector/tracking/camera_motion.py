@@ -82,11 +82,6 @@ def estimate_motion(before: Planes, after: Planes, pairs: tuple[np.ndarray, np.n
     return PlaneMotion(rotation, translation_m, scale)
 
 
-@kernel('float64(float64)')
-def _cauchy_of_square(squared_ratio):
-    return 1.0 / (1.0 + squared_ratio)
-
-
 @kernel('float64[:, ::1](float64[:, ::1], float64[:, ::1], float64[::1])', is_short=True)
 def _rotation(before, after, weights):
     """Return the rotation (3, 3) from the previous normals (N, 3) to the current ones."""
@@ -113,10 +108,10 @@ def _rotation(before, after, weights):
                 for j in range(3):
                     error += rotation[i, j] * before[k, j]
                 error2 += error * error
-            robust[k] = weights[k] * _cauchy_of_square(error2 / _TURN_SPREAD_RAD**2)
+            robust[k] = weights[k] / (1 + error2 / _TURN_SPREAD_RAD**2)
         cosine = (rotation[0, 0] + rotation[1, 1] + rotation[2, 2] - 1) / 2
         turn_rad = math.acos(min(max(cosine, -1.0), 1.0))
-        caution = _cauchy_of_square((turn_rad / _TURN_SPREAD_RAD) ** 2)
+        caution = 1 / (1 + (turn_rad / _TURN_SPREAD_RAD) ** 2)
     return rotation
 
 
@@ -200,12 +195,12 @@ def _solved(system, change, weights):
         for i in range(4):
             unknown[i] = work[i, 4] / work[i, i]
             moved = max(moved, abs(unknown[i] - last[i]))
-            caution[i] = _cauchy_of_square(unknown[i] * unknown[i] * _PRIOR[i])
+            caution[i] = 1 / (1 + unknown[i] * unknown[i] * _PRIOR[i])
         if moved < _CONVERGED:
             break
         for k in range(len(system)):
             misfit = -change[k]
             for i in range(4):
                 misfit += system[k, i] * unknown[i]
-            robust[k] = weights[k] * _cauchy_of_square((misfit / _OFFSET_SPREAD) ** 2)
+            robust[k] = weights[k] / (1 + (misfit / _OFFSET_SPREAD) ** 2)
     return unknown

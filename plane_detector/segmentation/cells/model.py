@@ -245,13 +245,36 @@ def add_up(moments, labels, is_used, count):
     return total
 
 
+@kernel('int32[:, ::1](int32[:, ::1], int32[::1])')
+def _renamed(labels, names):
+    found = np.empty_like(labels)
+    for i in range(labels.shape[0]):
+        for j in range(labels.shape[1]):
+            found[i, j] = names[np.uint32(labels[i, j] + 1)]  # unsigned: no wrap-around check
+    return found
+
+
 def fit_regions(cells: WeightedCells, labels: np.ndarray, count: int,
                 min_pixels: float = 1.0) -> PlaneRegions:
     """Fit planes to labels (R, C) int32; drop labels with too few planar pixels or on a line."""
-    moments = add_up(cells.grid.moments, labels.reshape(-1), cells.is_planar, count)
-    planes = fit_planes(moments)
-    kept = np.flatnonzero((moments[:, N] >= max(min_pixels, 1.0)) & ~np.isnan(planes[:, 0]))
-    return PlaneRegions(relabel_sequential(labels, kept, count), planes[kept])
+    return PlaneRegions(*_fit_regions(np.ascontiguousarray(labels), cells.grid.moments,
+                                      cells.is_planar, count, max(min_pixels, 1.0)))
+
+
+@kernel('Tuple((int32[:, ::1], float64[:, ::1]))(int32[:, ::1], float64[:, ::1], boolean[::1], '
+        'int64, float64)', is_short=True)
+def _fit_regions(labels, moments, is_planar, count, min_pixels):
+    """Return the labels and planes of those that are kept."""
+    total, names, n = (add_up(moments, labels.reshape(-1), is_planar, count),
+                       np.full(count + 1, np.int32(-1)), 0)  # the first is that of no label
+    planes = fit_planes(total)
+    for k in range(count):
+        if total[k, N] >= min_pixels and not np.isnan(planes[k, 0]):
+            names[k + 1] = n
+            for term in range(3):
+                planes[n, term] = planes[k, term]
+            n += 1
+    return _renamed(labels, names), planes[:n].copy()
 
 
 def relabel_sequential(labels: np.ndarray, kept: np.ndarray, count: int) -> np.ndarray:
@@ -267,15 +290,6 @@ def rename_labels(labels: np.ndarray, names: np.ndarray, none: int = -1) -> np.n
         return labels
     return _renamed(np.ascontiguousarray(labels, np.int32),
                     np.concatenate([[none], names]).astype(np.int32))
-
-
-@kernel('int32[:, ::1](int32[:, ::1], int32[::1])')
-def _renamed(labels, names):
-    found = np.empty_like(labels)
-    for i in range(labels.shape[0]):
-        for j in range(labels.shape[1]):
-            found[i, j] = names[np.uint32(labels[i, j] + 1)]  # unsigned: no wrap-around check
-    return found
 
 
 @kernel('boolean[:, ::1](int32[:, ::1])', is_short=True)

@@ -242,10 +242,11 @@ def with_lateral_noise(noise: Noise, grid: CellGrid, roughness: np.ndarray) -> N
     is_inner[1:-1, 1:-1] = (usable[1:-1, 1:-1] & usable[:-2, 1:-1] & usable[2:, 1:-1]
                             & usable[1:-1, :-2] & usable[1:-1, 2:])
     cells = sample_cells(is_inner)
-    around2 = sum(((grid.mean[cells + step, 2] - grid.mean[cells - step, 2])
-                   / (grid.mean[cells + step, axis] - grid.mean[cells - step, axis])) ** 2
-                  for axis, step in enumerate((1, columns)))
-    square = np.minimum((grid.slope[cells] ** 2).sum(axis=1), around2)
+    right, down = (grid.mean.take(cells + step, 0) - grid.mean.take(cells - step, 0)
+                   for step in (1, columns))
+    around2 = (right[:, 2] / right[:, 0]) ** 2 + (down[:, 2] / down[:, 1]) ** 2
+    slope2 = grid.slope.take(cells, 0) ** 2
+    square = np.minimum(slope2[:, 0] + slope2[:, 1], around2)
     is_seen = square < (MAX_STEEPNESS / grid.lens[0] * grid.mean[cells, 2]) ** 2
     cells, square = cells[is_seen], square[is_seen] / grid.width_px**2
     third, floor = len(cells) // 3, noise.variance_floor(grid.mean[cells, 2])

@@ -347,10 +347,14 @@ def add_support(gain, planes, cells, free, places, limits):
         gain[h] = total[h]
 
 
+def _stride(columns: int, margin: int) -> int:
+    """Return the length of rows with a margin: odd, so that one parity is a checkerboard."""
+    return columns + 2 * margin + 1 - columns % 2
+
+
 def with_margin(grid: np.ndarray, margin: int) -> np.ndarray:
     """Return a grid (R, C) with a margin of -1."""
-    # Rows of odd length: in the flat grid, places of one parity are a checkerboard.
-    right = margin + 1 - grid.shape[1] % 2
+    right = _stride(grid.shape[1], margin) - grid.shape[1] - margin
     return cv2.copyMakeBorder(grid, margin, margin, margin, right, cv2.BORDER_CONSTANT, value=-1)
 
 
@@ -388,29 +392,33 @@ def label_clusters(labels: np.ndarray, dbscan: DbscanConfig
         Where each begins in ``cells``, and the end.
 
     """
-    (rows, columns), margin = labels.shape, int(dbscan.eps)
-    wide = with_margin(labels.astype(np.int16), margin)
-    near = neighbour_steps(dbscan.eps, wide.shape[1]), dbscan.min_samples
-    clusters, places, starts = _cluster(wide.reshape(-1), near)
-    clusters = clusters.reshape(wide.shape)[margin:margin + rows, margin:margin + columns]
-    cells = cell_places(labels.shape, margin).reshape(-1)[places]
-    return np.ascontiguousarray(clusters), cells, starts
+    margin, stride = int(dbscan.eps), _stride(labels.shape[1], int(dbscan.eps))
+    return _cluster(np.ascontiguousarray(labels), margin,
+                    (neighbour_steps(dbscan.eps, stride), dbscan.min_samples), stride)
 
 
-@kernel(f'Tuple((int32[::1], int64[::1], int64[::1]))(int16[::1], {NEAR})', is_short=True)
-def _cluster(labels, near):
-    """Return the cluster of each place, the places cluster by cluster, where each starts."""
-    clusters, queue = np.full(len(labels), np.int32(-1)), np.empty(len(labels), np.int64)
-    is_taken, starts = np.zeros(len(labels), np.bool_), np.zeros(len(labels) + 1, np.int64)
+@kernel(f'Tuple((int32[:, ::1], int32[::1], int64[::1]))(int32[:, ::1], int64, {NEAR}, int64)',
+        is_short=True)
+def _cluster(labels, margin, near, stride):
+    """Return the cluster of each cell, the cells cluster by cluster, where each starts."""
+    (rows, columns), clusters = labels.shape, np.full(labels.shape, np.int32(-1))
+    wide = np.full((rows + 2 * margin) * stride, np.int16(-1))
+    for row in range(rows):
+        first = (row + margin) * stride + margin
+        for column in range(columns):
+            wide[first + column] = labels[row, column]
+    queue, is_taken = np.empty(len(wide), np.int64), np.zeros(len(wide), np.bool_)
+    cells, starts = np.empty(labels.size, np.int32), np.zeros(labels.size + 1, np.int64)
     count, end = 0, 0
-    for start in range(len(labels)):
-        if labels[start] >= 0 and not is_taken[start]:
-            begin, end = end, grow_cluster(queue, end, start, (labels, is_taken), near)
+    for start in range(len(wide)):
+        if wide[start] >= 0 and not is_taken[start]:
+            begin, end = end, grow_cluster(queue, end, start, (wide, is_taken), near)
             for k in range(begin, end):
-                clusters[queue[k]] = count
+                row, column = queue[k] // stride - margin, queue[k] % stride - margin
+                clusters[row, column], cells[k] = count, row * columns + column
             count += end > begin
             starts[count] = end
-    return clusters, queue[:end].copy(), starts[:count + 1].copy()
+    return clusters, cells[:end].copy(), starts[:count + 1].copy()
 
 
 @kernel(f'int64(int64[::1], int64, int64, Tuple((int16[::1], boolean[::1])), {NEAR})')
