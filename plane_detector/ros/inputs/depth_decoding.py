@@ -10,6 +10,7 @@ compressedDepth is the transport of compressed_depth_image_transport: 12 bytes, 
 from __future__ import annotations
 
 import struct
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -132,7 +133,7 @@ def _check_size(width: int, height: int, most_pixels: int) -> None:
 def check_rays(msg: PointCloud2, intrinsics: CameraIntrinsics) -> None:
     """Raise ValueError if the points of an organised cloud are not on the rays of their pixels."""
     x_m, y_m, z_m = (_field(msg, name)[::_CHECKED_STEP, ::_CHECKED_STEP] for name in 'xyz')
-    own = rays(intrinsics, (msg.height, msg.width))[::_CHECKED_STEP, ::_CHECKED_STEP]
+    own = _checked_rays(intrinsics, (msg.height, msg.width))
     with np.errstate(all='ignore'):  # NaN where nothing was measured
         off = abs(x_m / z_m - own[..., 0]) + abs(y_m / z_m - own[..., 1])
     off = off[np.isfinite(off)]
@@ -140,6 +141,11 @@ def check_rays(msg: PointCloud2, intrinsics: CameraIntrinsics) -> None:
         raise ValueError('the points of the cloud are not on the rays of their pixels: the cloud '
                          'must be in the optical frame of the camera (z forward), and CameraInfo '
                          'must match its pixels')
+
+
+@lru_cache(maxsize=4)
+def _checked_rays(intrinsics: CameraIntrinsics, shape: tuple[int, int]) -> np.ndarray:
+    return rays(intrinsics, shape)[::_CHECKED_STEP, ::_CHECKED_STEP].copy()
 
 
 def _field(msg: PointCloud2, name: str) -> np.ndarray:
@@ -157,5 +163,5 @@ def _field(msg: PointCloud2, name: str) -> np.ndarray:
         '>' if msg.is_bigendian else '<')
     if found[0].offset + dtype.itemsize > msg.point_step:
         raise ValueError(f'field {name} of the point cloud is beyond its {msg.point_step} bytes')
-    return np.ndarray((msg.height, msg.width), dtype, bytes(msg.data), found[0].offset,
+    return np.ndarray((msg.height, msg.width), dtype, msg.data, found[0].offset,
                       (msg.row_step, msg.point_step))
