@@ -20,8 +20,6 @@ from plane_detector.types import Planes
 
 # chosen: a change of a millionth changes no label; a stationary camera needs two rounds.
 _MOST_ROUNDS, _CONVERGED = 8, 1e-6
-# derived: each sweep squares what is left; twice as many as reach the rounding of float64 from 1.
-_MOST_SWEEPS, _TINY = 10, 1e-15
 # Weight of the prior for no rotation; all planes together have weight 1.
 _NO_TURN_WEIGHT = 0.03
 # Lower bound of the standard deviation between normals, however small the covariance of the fit.
@@ -85,80 +83,27 @@ def estimate_motion(before: Planes, after: Planes, pairs: tuple[np.ndarray, np.n
 @kernel('float64[:, ::1](float64[:, ::1], float64[:, ::1], float64[::1])', is_short=True)
 def _rotation(before, after, weights):
     """Return the rotation (3, 3) from the previous normals (N, 3) to the current ones."""
-    rotation, last, robust, caution = np.eye(3), np.empty((3, 3)), weights.copy(), _FIRST_CAUTION
-    products = np.empty((3, 3))
+    rotation, robust, caution = np.eye(3), weights.copy(), _FIRST_CAUTION
     for _ in range(_MOST_ROUNDS):
-        for i in range(3):
-            for j in range(3):
-                products[i, j] = caution * _NO_TURN_WEIGHT if i == j else 0.0
-                for k in range(len(before)):
-                    products[i, j] += robust[k] * before[k, i] * after[k, j]
-                last[i, j] = rotation[i, j]
-        _set_rotation(products, rotation)
-        change = 0.0
-        for i in range(3):
-            for j in range(3):
-                change = max(change, abs(rotation[i, j] - last[i, j]))
-        if change < _CONVERGED:
+        last = rotation
+        rotation = _least_squares_rotation(
+            after.T @ (robust.reshape(-1, 1) * before) + caution * _NO_TURN_WEIGHT * np.eye(3))
+        if np.abs(rotation - last).max() < _CONVERGED:
             break
-        for k in range(len(before)):
-            error2 = 0.0
-            for i in range(3):
-                error = -after[k, i]
-                for j in range(3):
-                    error += rotation[i, j] * before[k, j]
-                error2 += error * error
-            robust[k] = weights[k] / (1 + error2 / _TURN_SPREAD_RAD**2)
-        cosine = (rotation[0, 0] + rotation[1, 1] + rotation[2, 2] - 1) / 2
-        turn_rad = math.acos(min(max(cosine, -1.0), 1.0))
+        error2 = ((before @ rotation.T - after) ** 2).sum(axis=1)
+        robust = weights / (1 + error2 / _TURN_SPREAD_RAD**2)
+        turn_rad = math.acos(min(max((np.trace(rotation) - 1) / 2, -1.0), 1.0))
         caution = 1 / (1 + (turn_rad / _TURN_SPREAD_RAD) ** 2)
     return rotation
 
 
-@kernel('void(float64[:, ::1], float64[:, ::1])')
-def _set_rotation(m, rotation):
-    """
-    Write the rotation of least squares by the sums m (3, 3) of previous times current vectors.
-
-    It is the quaternion that is the eigenvector of the largest eigenvalue of a matrix (Horn 1987),
-    found by rotations of two axes (Jacobi 1846).
-    """
-    a, axes = np.empty((4, 4)), np.eye(4)
-    for i in range(3):
-        j, k = (i + 1) % 3, (i + 2) % 3
-        a[i + 1, i + 1] = m[i, i] - m[j, j] - m[k, k]
-        a[0, i + 1] = a[i + 1, 0] = m[j, k] - m[k, j]
-        a[j + 1, k + 1] = a[k + 1, j + 1] = m[j, k] + m[k, j]
-    a[0, 0] = m[0, 0] + m[1, 1] + m[2, 2]
-    for _ in range(_MOST_SWEEPS):
-        rest = 0.0
-        for p in range(4):
-            for q in range(p + 1, 4):
-                rest = max(rest, abs(a[p, q]))
-                if a[p, q] == 0:
-                    continue
-                half = (a[q, q] - a[p, p]) / (2 * a[p, q])
-                t = 1 / (abs(half) + math.sqrt(half * half + 1))
-                t = t if half >= 0 else -t
-                c = 1 / math.sqrt(t * t + 1)
-                s = t * c
-                for k in range(4):
-                    a[k, p], a[k, q] = c * a[k, p] - s * a[k, q], s * a[k, p] + c * a[k, q]
-                for k in range(4):
-                    a[p, k], a[q, k] = c * a[p, k] - s * a[q, k], s * a[p, k] + c * a[q, k]
-                    axes[k, p], axes[k, q] = (c * axes[k, p] - s * axes[k, q],
-                                              s * axes[k, p] + c * axes[k, q])
-        if rest <= _TINY * abs(a[0, 0]):
-            break
-    best = 0
-    for k in range(1, 4):
-        best = k if a[k, k] > a[best, best] else best
-    w, x, y, z = axes[0, best], axes[1, best], axes[2, best], axes[3, best]
-    rotation[0, 0], rotation[1, 1] = 1 - 2 * (y * y + z * z), 1 - 2 * (x * x + z * z)
-    rotation[0, 1], rotation[1, 0] = 2 * (x * y - w * z), 2 * (x * y + w * z)
-    rotation[0, 2], rotation[2, 0] = 2 * (x * z + w * y), 2 * (x * z - w * y)
-    rotation[1, 2], rotation[2, 1] = 2 * (y * z - w * x), 2 * (y * z + w * x)
-    rotation[2, 2] = 1 - 2 * (x * x + y * y)
+@kernel('float64[:, ::1](float64[:, ::1])')
+def _least_squares_rotation(products):
+    """Return the rotation closest to the sums (3, 3) of current times previous vectors (Kabsch)."""
+    left, _, right = np.linalg.svd(products)
+    if np.linalg.det(left) * np.linalg.det(right) < 0:
+        left[:, 2] *= -1
+    return left @ right
 
 
 def _translation_and_scale(before_m: np.ndarray, normals: np.ndarray, after_m: np.ndarray,
@@ -175,32 +120,15 @@ def _translation_and_scale(before_m: np.ndarray, normals: np.ndarray, after_m: n
 @kernel('float64[::1](float64[:, ::1], float64[::1], float64[::1])', is_short=True)
 def _solved(system, change, weights):
     """Return the unknowns (4,) of system @ unknown = change with few outliers."""
-    unknown, last, robust = np.zeros(4), np.empty(4), weights.copy()
-    caution, work = np.ones(4), np.empty((4, 5))
+    unknown, robust, caution = np.zeros(4), weights.copy(), np.ones(4)
     caution[3] = _FIRST_CAUTION
     for _ in range(_MOST_ROUNDS):
-        for i in range(4):
-            last[i] = unknown[i]
-            for j in range(5):
-                work[i, j] = caution[i] * _PRIOR[i] if i == j else 0.0
-                for k in range(len(system)):
-                    work[i, j] += (robust[k] / _OFFSET_SPREAD**2 * system[k, i]
-                                   * (system[k, j] if j < 4 else change[k]))
-        for p in range(4):  # elimination; the prior keeps the pivots above 0
-            for i in range(4):
-                factor = work[i, p] / work[p, p] if i != p else 0.0
-                for j in range(p, 5):
-                    work[i, j] -= factor * work[p, j]
-        moved = 0.0
-        for i in range(4):
-            unknown[i] = work[i, 4] / work[i, i]
-            moved = max(moved, abs(unknown[i] - last[i]))
-            caution[i] = 1 / (1 + unknown[i] * unknown[i] * _PRIOR[i])
-        if moved < _CONVERGED:
+        last = unknown
+        weighted = (robust / _OFFSET_SPREAD**2).reshape(-1, 1) * system
+        unknown = np.linalg.solve(weighted.T @ system + np.diag(caution * _PRIOR),
+                                  change @ weighted)
+        if np.abs(unknown - last).max() < _CONVERGED:
             break
-        for k in range(len(system)):
-            misfit = -change[k]
-            for i in range(4):
-                misfit += system[k, i] * unknown[i]
-            robust[k] = weights[k] / (1 + (misfit / _OFFSET_SPREAD) ** 2)
+        robust = weights / (1 + ((system @ unknown - change) / _OFFSET_SPREAD) ** 2)
+        caution = 1 / (1 + unknown * unknown * _PRIOR)
     return unknown
