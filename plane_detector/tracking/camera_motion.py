@@ -99,7 +99,7 @@ def _rotation(before, after, weights):
 
 @kernel('float64[:, ::1](float64[:, ::1])')
 def _least_squares_rotation(products):
-    """Return the rotation closest to the sums (3, 3) of current times previous vectors (Kabsch)."""
+    """Return the rotation closest to sums (3, 3) of current times previous vectors (Kabsch)."""
     left, _, right = np.linalg.svd(products)
     if np.linalg.det(left) * np.linalg.det(right) < 0:
         left[:, 2] *= -1
