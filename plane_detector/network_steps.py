@@ -33,7 +33,7 @@ from plane_detector.segmentation.cells.model import PixelRegions
 from plane_detector.segmentation.cells.noise import Noise
 from plane_detector.segmentation.cells.normal_slopes import NormalMap
 from plane_detector.segmentation.pixels.edge_snapping import GuideImage
-from plane_detector.segmentation.segment import metric_noise_floor, segment, unitless_noise_floor
+from plane_detector.segmentation.segment import metric_noise_floor, noise_floor_of_range, segment
 from plane_detector.types import PlaneSegmentation, ScaleEstimate
 
 
@@ -105,7 +105,7 @@ def _noise_floor(observation: Observation, config: Config) -> Noise:
     if observation.prediction.output not in UNITLESS and (
             config.segmentation.disparity_noise or not observation.noise_share):
         return metric_noise_floor(config, is_measured=False)
-    return unitless_noise_floor(observation.disparity, observation.disparity_noise)
+    return noise_floor_of_range(observation.range_and_median[0], observation.disparity_noise)
 
 
 def _scaled_depth(observation: Observation, scale: ScaleEstimate, max_depth_m: float

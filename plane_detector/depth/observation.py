@@ -20,7 +20,8 @@ from plane_detector.geometry.disparity import (
     UNITLESS,
     limited_depth,
     limited_disparity,
-    noise_reference,
+    noise_unit,
+    range_and_median,
     to_depth,
     to_disparity,
 )
@@ -82,7 +83,7 @@ class Observation:
     def stated(self, **fields: object) -> Observation:
         """Return the observation with other fields than its prediction, whose disparity stays."""
         other = replace(self, **fields)
-        vars(other).update({name: vars(self)[name] for name in ('disparity', 'disparity_noise')
+        vars(other).update({name: vars(self)[name] for name in ('disparity', 'range_and_median')
                             if name in vars(self)})
         return other
 
@@ -93,9 +94,14 @@ class Observation:
         return to_disparity(values) if self.prediction.output in DEPTHS else values
 
     @cached_property
+    def range_and_median(self) -> tuple[float, float]:
+        """Range, above 0, and median of the disparity."""
+        return range_and_median(self.disparity)
+
+    @property
     def disparity_noise(self) -> float:
         """Noise stated for the source, in the unit of the disparity."""
-        return self.noise_share and self.noise_share * noise_reference(self.disparity)
+        return self.noise_share and self.noise_share * noise_unit(*self.range_and_median)
 
     def with_values(self, values: np.ndarray) -> Observation:
         """Return the observation with other values (H, W), of the same kind."""

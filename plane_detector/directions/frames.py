@@ -70,7 +70,7 @@ def fit_frame(segments: LineSegments, axes: np.ndarray, used: tuple[int, ...] = 
     """
     axes = np.array(axes, float)
     sums = _fit(segments.normals, segments.midpoints, segments.lengths, axes,
-                np.isin((0, 1, 2), used))
+                np.array([k in used for k in range(3)]))
     weight, weight_square, squares = sums[4].tolist()
     independent = weight**2 / max(weight_square, 1e-12)
     # Covariance of weighted means: moment^-1 times the variance over the independent segments.

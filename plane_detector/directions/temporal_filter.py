@@ -80,7 +80,7 @@ class ImagePoints:
             POINTS, nlevels=4, edgeThreshold=15, patchSize=25, fastThreshold=10
         ).detectAndCompute(self.grey, None)
         camera, (height, width) = self.intrinsics, self.grey.shape
-        places = np.array([corner.pt for corner in corners]).reshape(-1, 2) + 0.5
+        places = np.reshape(cv2.KeyPoint.convert(corners), (-1, 2)).astype(float) + 0.5
         places = places * [camera.width / width, camera.height / height] - 0.5
         rays = np.column_stack([(places - [camera.cx, camera.cy]) / [camera.fx, camera.fy],
                                 np.ones(len(places))])
@@ -298,8 +298,9 @@ def turn_between_points(before: ImagePoints, after: ImagePoints) -> tuple[np.nda
     one, other = order[:len(order) // 2], order[::-1][:len(order) // 2]
     rotations = _from_pairs(rays_after[one], rays_after[other]) @ _from_pairs(
         rays_before[one], rays_before[other]).transpose(0, 2, 1)
-    off = np.linalg.norm(rays_before @ rotations.transpose(0, 2, 1) - rays_after, axis=2)
-    rotation = rotations[(1 / (1 + (off / POINT_SPREAD_RAD) ** 2)).sum(axis=1).argmax()]
+    off = rays_before @ rotations.transpose(0, 2, 1) - rays_after
+    squares = np.einsum('hnk,hnk->hn', off, off)
+    rotation = rotations[(1 / (1 + squares / POINT_SPREAD_RAD**2)).sum(axis=1).argmax()]
     rotation, off = _refitted(rays_before, rays_after, np.ones(len(rays_before)),
                               POINT_SPREAD_RAD, rotation)
     follows = (off < MOST_SPREADS * POINT_SPREAD_RAD).mean()

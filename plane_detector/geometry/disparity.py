@@ -155,18 +155,23 @@ def noise_reference(disparity: np.ndarray) -> float:
     0.125
 
     """
-    extent, level = _range_and_median(disparity)
-    return max(extent, _MIN_RANGE_OF_LEVEL * abs(level), _SMALLEST)
+    return noise_unit(*range_and_median(disparity))
+
+
+def noise_unit(extent: float, level: float) -> float:
+    """Return the :func:`noise_reference` of disparities of a known range and median."""
+    return max(extent, _MIN_RANGE_OF_LEVEL * abs(level))
 
 
 def disparity_range(disparity: np.ndarray) -> float:
     """Return the range, above 0, of finite values without the outermost 2 % on either side."""
-    return max(_range_and_median(disparity)[0], _SMALLEST)
+    return range_and_median(disparity)[0]
 
 
-def _range_and_median(disparity: np.ndarray) -> tuple[float, float]:
+def range_and_median(disparity: np.ndarray) -> tuple[float, float]:
+    """Return the :func:`disparity_range` and the median of finite values."""
     low, level, high = sampled_quantiles(disparity, _RANGE_QUANTILES)
-    return high - low, level
+    return max(high - low, _SMALLEST), level
 
 
 def sampled_quantiles(disparity: np.ndarray, shares: Sequence[float]) -> list[float]:

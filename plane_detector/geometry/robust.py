@@ -100,6 +100,7 @@ def quantiles(values: np.ndarray, shares: Sequence[float]) -> list[float]:
     [1.0, 2.5, 5.0]
 
     """
+    values = np.ascontiguousarray(values, np.float64)
     found, last = [], len(values) - 1
     for share in shares:
         place = share * last

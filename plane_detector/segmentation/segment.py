@@ -104,8 +104,12 @@ def unitless_noise_floor(disparity: np.ndarray, disparity_noise: float = 0.0) ->
         Noise stated for its source, in the same unit; 0 if none.
 
     """
-    return Noise(0.0, RELATIVE_FLOOR * disparity_range(disparity), disparity_noise,
-                 is_metric=False)
+    return noise_floor_of_range(disparity_range(disparity), disparity_noise)
+
+
+def noise_floor_of_range(extent: float, disparity_noise: float) -> Noise:
+    """Return the :func:`unitless_noise_floor` of disparities of a known range."""
+    return Noise(0.0, RELATIVE_FLOOR * extent, disparity_noise, is_metric=False)
 
 
 def segment(disparity: np.ndarray, noise_floor: Noise, config: Config,
