@@ -25,10 +25,10 @@ WEIGHTS = np.array([2.7, 6.6, 10.8, 6.4])
 # Share of the photographs whose statistics show nothing. tuned: the mean log probability of the
 # scenes left out is flat up to 0.05, and falls from 0.1 on.
 UNUSUAL = 0.05
-# An image whose mean gradient (grey levels per pixel) is this has half of the full weight, one of a
-# third of it a tenth: where there is little to be seen, a few edges decide. tuned: real scenes, all
-# above 2.1, are flat from 0 to 3, at 4 a twentieth of their evidence is lost; corridors rendered
-# without light and things, of 1.2 to 2.6, are misled a quarter as far as at 0.
+# An image whose mean gradient (grey levels per pixel) is this has half of the full weight, one of
+# a third of it a tenth: where there is little to be seen, a few edges decide. tuned: real scenes,
+# all above 2.1, are flat from 0 to 3, at 4 a twentieth of their evidence is lost; corridors
+# rendered without light and things, of 1.2 to 2.6, are misled a quarter as far as at 0.
 HALF_GRADIENT = 3.0
 # Size of the image whose colours are compared, and what is added to their spread (of 255). tuned:
 # flat from 30 to 120, and from 3 to 20.
