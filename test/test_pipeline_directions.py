@@ -53,7 +53,7 @@ def test_floors_and_walls_of_a_network_are_turned_upright():
     assert worst_deg(raw) > 1.0
 
 
-@pytest.mark.parametrize('turns', [0, 1, 2, 3])
+@pytest.mark.parametrize('turns', [1, 2, 3])
 def test_axes_turn_planes_of_a_network_although_it_is_open_which_is_down(turns):
     """The lines show three axes at right angles; a network does not show which one is down."""
     rgb, wrong_m, labels = (np.ascontiguousarray(np.rot90(part, turns)) for part in (
@@ -87,7 +87,7 @@ def turned_scene(turns):
     return rgb, inverse, labels, camera, planes
 
 
-@pytest.mark.parametrize('turns', [0, 1, 2, 3])
+@pytest.mark.parametrize('turns', [1, 2, 3])
 def test_a_relative_network_has_true_angles_although_it_is_open_which_axis_is_down(turns):
     """The shift follows from axes; neither metres, nor gravity, nor a class does."""
     rgb, inverse, labels, camera, planes = turned_scene(turns)

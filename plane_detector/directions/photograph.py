@@ -21,18 +21,18 @@ from plane_detector.directions.line_segments import LineSegments
 # Weights of the four statistics. tuned: multinomial regression of the side that is down, ridge 3,
 # on 244 real images of 44 scenes (docs/results.md), each scene with the same weight. The weights
 # without any one of the scenes are within a fifth of these.
-WEIGHTS = np.array([3.3, 8.1, 13.4, 8.2])
+WEIGHTS = np.array([2.7, 6.6, 10.8, 6.4])
 # Share of the photographs whose statistics show nothing. tuned: the mean log probability of the
 # scenes left out is flat up to 0.05, and falls from 0.1 on.
 UNUSUAL = 0.05
-# An image whose mean gradient (grey levels per pixel) is this has half of the full weight: where
-# there is little to be seen, a few edges decide. tuned: real images are flat from 0 to 8;
-# rendered ones without light and things, of which half have less than 1.5, real ones more than 4,
-# are misled half as far as at 0.
-HALF_GRADIENT = 4.0
-# Size of the image whose colours are compared. Added to the spread of a colour (of 255). tuned:
-# flat from 3 to 20.
-COLOUR_PX, LEAST_COLOUR = 60, 10.0
+# An image whose mean gradient (grey levels per pixel) is this has half of the full weight, one of
+# a third of it a tenth: where there is little to be seen, a few edges decide. tuned: real scenes,
+# all above 2.1, are flat from 0 to 3, at 4 a twentieth of their evidence is lost; corridors
+# rendered without light and things, of 1.2 to 2.6, are misled a quarter as far as at 0.
+HALF_GRADIENT = 3.0
+# Size of the image whose colours are compared, and what is added to their spread (of 255). tuned:
+# flat from 30 to 120, and from 3 to 20.
+COLOUR_PX, LEAST_COLOUR = 30, 10.0
 # A pixel is on a level or upright edge if its gradient is within 27 degrees of the vertical or
 # horizontal of the image and at least this strong (grey levels per pixel); so are lines.
 ALONG, STRONG = 2.0, 8.0
@@ -81,7 +81,8 @@ def statistics_of_sides(rgb: np.ndarray, grey: np.ndarray, segments: LineSegment
     statistics = np.column_stack([
         is_upright @ _colour_steps(rgb), is_upright @ level, SIDES @ light,
         SIDES @ _place_of_slanted(segments, rgb.shape[:2])])
-    return statistics * (totals.mean() / (totals.mean() + HALF_GRADIENT))
+    square = totals.mean() ** 2
+    return statistics * (square / (square + HALF_GRADIENT**2))
 
 
 def _square(image: np.ndarray) -> np.ndarray:
@@ -94,7 +95,7 @@ def _square(image: np.ndarray) -> np.ndarray:
 
 def _colour_steps(rgb: np.ndarray) -> np.ndarray:
     """Return the differences (2,) of colour from left to right and from top to bottom."""
-    small = cv2.resize(_square(rgb), (COLOUR_PX, COLOUR_PX), interpolation=cv2.INTER_AREA)
+    small = cv2.resize(_square(rgb), (COLOUR_PX, COLOUR_PX), interpolation=cv2.INTER_LINEAR)
     colours = cv2.cvtColor(small, cv2.COLOR_RGB2LAB).astype(np.float32)
     colours /= colours.std(axis=(0, 1)) + LEAST_COLOUR
     third = COLOUR_PX // 3

@@ -108,7 +108,8 @@ def test_swinging_between_two_views_proves_nothing():
 @pytest.mark.parametrize('axis', [0, 1, 2])
 def test_a_camera_turns_about_its_vertical(axis):
     """Where the mounting is open, turning about a level axis leaves the vertical open."""
-    rotations = [cv2.Rodrigues(np.radians(2.0 * k) * FRAME[axis])[0] for k in range(16)]
+    rotations = [cv2.Rodrigues(np.radians(2.0 * k) * FRAME[axis])[0] for k in range(
+        16 if axis else 24)]
     found = every([room(rotation) for rotation in rotations], log_turned=np.zeros(4))
     assert found[0].gravity_camera is None
     if axis:
