@@ -261,10 +261,10 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
         ('return np.sqrt(np.maximum(variances, 0.0))', 'return np.maximum(variances, 0.0)',
          'variances for deviations')),
     'tracking/camera_motion.py': (
-        ('(min(max((rotation.trace', '(min(min((rotation.trace', 'any turn is as likely'),
+        ('math.acos(min(max(cosine', 'math.acos(min(min(cosine', 'any turn is as likely'),
         ('[-normals * typical_m', '[-normals / typical_m', 'translation in the wrong unit'),
-        ('left[:, 2] *= -1', 'left[:, 2] *= 1', 'a mirror for a rotation'),
-        ('left[:, 2] *= -1', 'left[:, 1] *= -1', 'a mirror mended by another axis')),
+        ('a[k, k] > a[best, best]', 'a[k, k] < a[best, best]', 'the worst of four rotations'),
+        ('= m[j, k] - m[k, j]', '= m[k, j] - m[j, k]', 'a turn the other way')),
     'tracking/matching.py': (
         ('spreads[k, 1] += cov', 'spreads[k, 2] += cov', 'normals without their errors'),
         ('exp(-apart_m2 / small_m2)', 'exp(-apart_m2 * small_m2)',
