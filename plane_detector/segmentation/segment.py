@@ -48,6 +48,7 @@ from plane_detector.segmentation.pixels.labelling import close_gaps, find_smears
 from plane_detector.segmentation.regions.competition import compete_for_cells, reassign_cells
 from plane_detector.segmentation.regions.curved import MAX_RADIUS_M, find_curved
 from plane_detector.segmentation.regions.merging import (
+    MAX_NETWORK_FOLD_DEG,
     join_nearly_flat,
     merge_bowed_walls,
     merge_coplanar,
@@ -218,7 +219,8 @@ def _measured(frame: Frame, regions: PlaneRegions, correlation: Correlation | No
 
 def _network(frame: Frame, regions: PlaneRegions) -> Labelled:
     """Return the labels and planes of network depth, whose errors contain bends and steps."""
-    graph = merge_coplanar(frame.cells, RegionGraph.of(frame.cells, regions), None)
+    graph = merge_coplanar(frame.cells, RegionGraph.of(frame.cells, regions), None,
+                           max_fold_deg=MAX_NETWORK_FOLD_DEG)
     graph = merge_bowed_walls(graph)
     return (label_pixels(frame, graph), np.arange(len(graph.planes)), graph.planes,
             np.empty(0, np.int64))

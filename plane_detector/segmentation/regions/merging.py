@@ -13,7 +13,10 @@ meet at the border without a step and at a small angle. Four tests differ in sur
   of one bow have a gap between their planes: there a joint quadric must fit as well as these;
 - bowed: networks bend walls; a slightly bent quadric fits as well as the two planes.
 
-Regions whose normals differ are two planes, however well one plane fits their depth.
+Regions whose normals differ are two planes, however well one plane fits their depth. The depth of
+a network bends around corners within its error: a region that has grown fits ever more, and chance
+decides what it swallows. There large regions become one only if each is nearly parallel to each,
+or if a quadric fits them within the noise.
 
 Pieces that do not touch are one plane if a joint plane fits as well as their own planes and a
 nearer object separates them: a floor continues behind a box, but two tables of the same height do
@@ -31,6 +34,7 @@ import numpy as np
 
 from plane_detector._runtime.compilation import kernel
 from plane_detector.config import SegmentationConfig
+from plane_detector.geometry.rigid_transform import unit_vectors
 from plane_detector.segmentation.cells.grid import (
     XX,
     XY,
@@ -109,6 +113,13 @@ MAX_BULGE_VARIANCES = 3.5**2
 # tuned: 14 real frames through FastDepth, SC with the planes of the sensor's depth; flat to 1.4
 # times; at 0.7 times precision -0.013.
 MAX_BOW_RATIO = 3.0
+# Largest angle between any two regions that become one in the depth of a network, if each has at
+# least this share of the cells. tuned: classes and angles of six sets of images through fastdepth,
+# seeds 100 to 105, flat from 15 to 25 degrees, and for most sets from 0.02 to 0.03; at 0.01 small
+# pieces with a wrong normal are left, at 0.02 in one attic (docs/results.md).
+MAX_NETWORK_FOLD_DEG, MIN_FOLDED_SHARE = 20.0, 0.03
+# chosen: in variances, far above the error of any region.
+ALL_ERRORS = 1e6
 # chosen: about as many lines, and samples per line, as cells along the longer side of a piece.
 SIGHT_LINES = 24
 # This many cells between two pieces may be farther than their plane. A cell counts from
@@ -131,7 +142,8 @@ MIN_HIDDEN_GAIN = 16.3
 
 
 def merge_coplanar(cells: WeightedCells, graph: RegionGraph,
-                   correlation: Correlation | None, recall: Recall | None = None) -> RegionGraph:
+                   correlation: Correlation | None, recall: Recall | None = None,
+                   max_fold_deg: float = np.inf) -> RegionGraph:
     """
     Merge pairs of regions, best fit first, until no pair fits.
 
@@ -143,6 +155,8 @@ def merge_coplanar(cells: WeightedCells, graph: RegionGraph,
         Of the noise, for model selection; if None, all pairs that fit are merged.
     recall : Recall, optional
         Of the image before.
+    max_fold_deg : float
+        Largest angle between any two large regions that become one.
 
     Returns
     -------
@@ -150,10 +164,13 @@ def merge_coplanar(cells: WeightedCells, graph: RegionGraph,
         Planes refitted to all their cells.
 
     """
+    folded = _folded(graph, max_fold_deg)
     unshared = correlation and correlation.density / correlation.bending**UNSHARED_POWER
 
     def is_apart(graph: RegionGraph, i: int, j: int, misfit: float) -> bool:
         touches = graph.borders[i, j, PAIRS] > 0
+        if _has_folded(folded, graph, i, j):
+            return True
         if recall and recall.is_two(Decision.MISFIT, misfit, graph.labels, (i, j), touches):
             return True
         if not touches:
@@ -175,6 +192,22 @@ def merge_coplanar(cells: WeightedCells, graph: RegionGraph,
         graph = merge_pairs(graph, partial(misfits, test=test), is_apart,
                             recall.most if recall else 1.0)
     return graph.without_merged()
+
+
+def _folded(graph: RegionGraph, max_fold_deg: float) -> np.ndarray:
+    """Return which large regions (K, K) have a larger angle between them."""
+    if np.isinf(max_fold_deg):
+        return np.empty((0, 0), bool)
+    fx, fy, x, y = graph.lens
+    normals = unit_vectors(graph.planes @ np.array([[fx, 0, x], [0, fy, y], [0, 0, 1]]))
+    is_large = graph.sums[:, N] >= MIN_FOLDED_SHARE * graph.labels.size
+    return ((normals @ normals.T < np.cos(np.radians(max_fold_deg)))
+            & is_large & is_large[:, None])
+
+
+def _has_folded(folded: np.ndarray, graph: RegionGraph, i: int, j: int) -> bool:
+    """Return whether any of the regions merged into i is folded against any of those in j."""
+    return bool(folded.size and folded[graph.owner == i][:, graph.owner == j].any())
 
 
 @kernel('boolean(float64[:, ::1], float64[:, ::1], float64[::1], UniTuple(int64, 2), float64)',
@@ -223,8 +256,13 @@ def merge_bowed_walls(graph: RegionGraph) -> RegionGraph:
     """Merge adjacent regions that one slightly bent quadric fits as well as their planes do."""
     # The angle is approximate, since the shift of the disparity may be unknown.
     bowed = OnePlane(QUADRIC, MAX_BOW_RATIO, max_fold_deg=MIN_CREASE_DEG)
-    return merge_pairs(graph, partial(misfits, test=bowed),
-                       lambda graph, i, j, misfit: False).without_merged()
+    folded = _folded(graph, MAX_NETWORK_FOLD_DEG)
+
+    def is_apart(graph: RegionGraph, i: int, j: int, _: float) -> bool:
+        # A bow is a quadric within the noise, however far the wall turns.
+        return _has_folded(folded, graph, i, j) and (
+            fit_quadric(graph.sums[i], graph.sums[j], ALL_ERRORS)[2] > 1 / ALL_ERRORS)
+    return merge_pairs(graph, partial(misfits, test=bowed), is_apart).without_merged()
 
 
 def join_nearly_flat(cells: WeightedCells, graph: RegionGraph, removed: np.ndarray,

@@ -99,6 +99,20 @@ def test_pieces_are_one_plane_unless_something_farther_is_seen_between(distance_
     assert len(merged_regions(model, labels).coefficients) == count
 
 
+def test_a_round_corner_of_a_network_does_not_become_one_plane_by_many_small_steps():
+    """Two walls; the normal turns by degrees from stripe to stripe of the corner between them."""
+    ray = (np.arange(640) - VGA.cx) / VGA.fx
+    slope = 0.4 * np.clip(ray / 0.4, -1, 1)
+    disparity = np.cumsum(slope) / VGA.fx
+    disparity += 0.4 - disparity.min()
+    turn_deg = np.degrees(np.arctan2(slope, disparity - slope * ray)).reshape(16, -1).mean(1)
+    model = cell_model(np.tile(1 / disparity, (480, 1)).astype(np.float32), noise_of(0.02))
+    graph = RegionGraph.of(model, regions_of_labels(model, stripes(model.grid.shape, 16)))
+    region = merge_coplanar(model, graph, None, max_fold_deg=20.0).labels[0, 2::5]
+    spans_deg = [np.ptp(turn_deg[region == k]) for k in range(region.max() + 1)]
+    assert max(spans_deg) < 21 and len(spans_deg) < 8 and np.ptp(turn_deg) > 100
+
+
 def test_merged_regions_have_the_sums_of_all_their_cells():
     model = noisy_model(view([wall(2.5)]), 0.004)
     regions = regions_of_labels(model, labels := stripes(model.grid.shape, 8))
