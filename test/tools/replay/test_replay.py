@@ -43,7 +43,7 @@ DIAGNOSTICS = '/diagnostics'
 @pytest.mark.parametrize('bag_format', [*FORMATS, ROS1])
 def test_planes_of_every_format_are_true(tmp_path, scenes, replay, bag_format):
     source = write_bag(tmp_path / f'walk_{bag_format}', camera_messages(scenes), bag_format)
-    code, target, text = replay(source)
+    code, target, text = replay(source, '-p', 'directions.mounting:=upright')
     assert code == 0, text
     written = read_bag(target)
     assert set(written) == (
