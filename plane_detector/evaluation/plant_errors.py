@@ -261,7 +261,7 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
         ('return np.sqrt(np.maximum(variances, 0.0))', 'return np.maximum(variances, 0.0)',
          'variances for deviations')),
     'tracking/camera_motion.py': (
-        ('(min(max((np.trace(', '(min(min((np.trace(', 'any turn is as likely'),
+        ('(min(max((rotation.trace', '(min(min((rotation.trace', 'any turn is as likely'),
         ('[-normals * typical_m', '[-normals / typical_m', 'translation in the wrong unit'),
         ('left[:, 2] *= -1', 'left[:, 2] *= 1', 'a mirror for a rotation'),
         ('left[:, 2] *= -1', 'left[:, 1] *= -1', 'a mirror mended by another axis')),

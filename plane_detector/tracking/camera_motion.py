@@ -13,9 +13,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
-from plane_detector._runtime.compilation import kernel
 from plane_detector.types import Planes
 
 # chosen: a change of a millionth changes no label; a stationary camera needs two rounds.
@@ -54,7 +54,7 @@ def estimate_motion(before: Planes, after: Planes, pairs: tuple[np.ndarray, np.n
     """
     Estimate the motion from planes visible in both images.
 
-    1. Estimate the rotation between the normals (Horn 1987).
+    1. Estimate the rotation between the normals (Kabsch 1976).
     2. Estimate translation and scale by least squares.
 
     Both are reweighted with Cauchy's function, so that a few wrong pairs have little effect. The
@@ -80,30 +80,23 @@ def estimate_motion(before: Planes, after: Planes, pairs: tuple[np.ndarray, np.n
     return PlaneMotion(rotation, translation_m, scale)
 
 
-@kernel('float64[:, ::1](float64[:, ::1], float64[:, ::1], float64[::1])', is_short=True)
-def _rotation(before, after, weights):
+def _rotation(before: np.ndarray, after: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """Return the rotation (3, 3) from the previous normals (N, 3) to the current ones."""
-    rotation, robust, caution = np.eye(3), weights.copy(), _FIRST_CAUTION
+    rotation, prior = np.eye(3), _NO_TURN_WEIGHT * np.eye(3)
+    robust, caution = weights, _FIRST_CAUTION
     for _ in range(_MOST_ROUNDS):
-        last = rotation
-        rotation = _least_squares_rotation(
-            after.T @ (robust.reshape(-1, 1) * before) + caution * _NO_TURN_WEIGHT * np.eye(3))
-        if np.abs(rotation - last).max() < _CONVERGED:
+        # OpenCV: the overhead of numpy is several times larger for so few numbers.
+        _, left, right = cv2.SVDecomp((after.T * robust) @ before + caution * prior)
+        if cv2.determinant(left @ right) < 0:
+            left[:, 2] *= -1
+        last, rotation = rotation, left @ right
+        if abs(rotation - last).max() < _CONVERGED:
             break
-        error2 = ((before @ rotation.T - after) ** 2).sum(axis=1)
-        robust = weights / (1 + error2 / _TURN_SPREAD_RAD**2)
-        turn_rad = math.acos(min(max((np.trace(rotation) - 1) / 2, -1.0), 1.0))
-        caution = 1 / (1 + (turn_rad / _TURN_SPREAD_RAD) ** 2)
+        error = before @ rotation.T - after
+        robust = weights * _cauchy_of_square((error * error).sum(axis=1) / _TURN_SPREAD_RAD ** 2)
+        turn_rad = math.acos(min(max((rotation.trace() - 1) / 2, -1.0), 1.0))
+        caution = _cauchy_of_square((turn_rad / _TURN_SPREAD_RAD) ** 2)
     return rotation
-
-
-@kernel('float64[:, ::1](float64[:, ::1])')
-def _least_squares_rotation(products):
-    """Return the rotation closest to sums (3, 3) of current times previous vectors (Kabsch)."""
-    left, _, right = np.linalg.svd(products)
-    if np.linalg.det(left) * np.linalg.det(right) < 0:
-        left[:, 2] *= -1
-    return left @ right
 
 
 def _translation_and_scale(before_m: np.ndarray, normals: np.ndarray, after_m: np.ndarray,
@@ -113,22 +106,21 @@ def _translation_and_scale(before_m: np.ndarray, normals: np.ndarray, after_m: n
     typical_m = float(weights @ distances_m / weights.sum())
     # Unknowns: t as a share of the typical distance, and scale - 1.
     system = np.column_stack([-normals * typical_m, before_m]) / distances_m[:, None]
-    unknown = _solved(system, (after_m - before_m) / distances_m, weights)
+    change = (after_m - before_m) / distances_m
+    robust, caution = weights, np.array([1.0, 1.0, 1.0, _FIRST_CAUTION])
+    unknown = np.zeros(4)
+    for _ in range(_MOST_ROUNDS):
+        weighted = system.T * (robust / _OFFSET_SPREAD ** 2)
+        last = unknown
+        normal_equations = weighted @ system + np.diag(caution * _PRIOR)
+        unknown = cv2.solve(normal_equations, (weighted @ change)[:, None])[1][:, 0]
+        if abs(unknown - last).max() < _CONVERGED:
+            break
+        misfit = (system @ unknown - change) / _OFFSET_SPREAD
+        robust = weights * _cauchy_of_square(misfit * misfit)
+        caution = _cauchy_of_square(unknown * unknown * _PRIOR)
     return unknown[:3] * typical_m, min(max(1.0 + float(unknown[3]), 0.01), 100.0)
 
 
-@kernel('float64[::1](float64[:, ::1], float64[::1], float64[::1])', is_short=True)
-def _solved(system, change, weights):
-    """Return the unknowns (4,) of system @ unknown = change with few outliers."""
-    unknown, robust, caution = np.zeros(4), weights.copy(), np.ones(4)
-    caution[3] = _FIRST_CAUTION
-    for _ in range(_MOST_ROUNDS):
-        last = unknown
-        weighted = (robust / _OFFSET_SPREAD**2).reshape(-1, 1) * system
-        unknown = np.linalg.solve(weighted.T @ system + np.diag(caution * _PRIOR),
-                                  change @ weighted)
-        if np.abs(unknown - last).max() < _CONVERGED:
-            break
-        robust = weights / (1 + ((system @ unknown - change) / _OFFSET_SPREAD) ** 2)
-        caution = 1 / (1 + unknown * unknown * _PRIOR)
-    return unknown
+def _cauchy_of_square(squared_ratio: np.ndarray | float) -> np.ndarray | float:
+    return 1.0 / (1.0 + squared_ratio)
