@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -11,7 +12,7 @@ import numpy as np
 
 from plane_detector._runtime.compilation import kernel
 from plane_detector.geometry.projection import pixel_rays
-from plane_detector.geometry.robust import SIGMA_PER_MEDIAN
+from plane_detector.geometry.robust import SIGMA_PER_MEDIAN, median
 from plane_detector.segmentation.cells.model import PixelRegions
 from plane_detector.types import CameraIntrinsics, Planes
 
@@ -88,7 +89,12 @@ class RegionSamples:
         """
         ratio = self.own_cosine / self.disparity  # of plane and depth, times the offset
         bounds = np.searchsorted(self.region, np.arange(self.count + 1))
-        return SIGMA_PER_MEDIAN * _median_deviations(ratio, bounds)
+        found = np.zeros(self.count)
+        for k, (start, end) in enumerate(itertools.pairwise(bounds)):
+            if end > start:
+                offset = median(ratio[start:end])
+                found[k] = SIGMA_PER_MEDIAN * median(np.abs(ratio[start:end] / offset - 1))
+        return found
 
     def joined(self, group: np.ndarray) -> RegionSamples:
         """Return the samples after merging regions: region k becomes ``group[k]``."""
@@ -136,45 +142,6 @@ def _sampled(labels, disparity, rays, normals):
                 cosine[i] = -(n[0] * ray_x[u] + n[1] * ray_y[v] + n[2])
                 places[k] += 1
     return seen, inverse, region, cosine, counts
-
-
-@kernel('float64[::1](float64[::1], int64[::1])', is_short=True, subject='network')
-def _median_deviations(values, bounds):
-    """Return the median deviation (K,) from the median of parts of values, as a share of it."""
-    found = np.zeros(len(bounds) - 1)
-    for k in range(len(found)):
-        part = values[bounds[k]:bounds[k + 1]].copy()
-        if len(part):
-            middle = _median(part)
-            for i in range(len(part)):
-                part[i] = abs(part[i] / middle - 1)
-            found[k] = _median(part)
-    return found
-
-
-@kernel('float64(float64[::1])')
-def _median(values):
-    """Return the median of at least one value, which are put into another order [Hoare 1961]."""
-    first, last, middle = 0, len(values) - 1, len(values) // 2
-    while first < last:
-        pivot, i, j = values[(first + last) // 2], first, last
-        while i <= j:
-            while values[i] < pivot:
-                i += 1
-            while pivot < values[j]:
-                j -= 1
-            if i <= j:
-                values[i], values[j] = values[j], values[i]
-                i, j = i + 1, j - 1
-        first, last = i if middle >= i else first, j if middle <= j else last
-        if j < middle < i:
-            break
-    if len(values) % 2:
-        return values[middle]
-    below = values[0]
-    for i in range(middle):
-        below = max(below, values[i])
-    return (below + values[middle]) / 2
 
 
 @kernel('float64[::1](float64[:, ::1], float64[::1], int64[::1], float64[:, ::1])',
