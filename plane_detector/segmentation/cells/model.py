@@ -246,7 +246,8 @@ def add_up(moments, labels, is_used, count):
 
 
 @kernel('int32[:, ::1](int32[:, ::1], int32[::1])')
-def _renamed(labels, names):
+def renamed(labels, names):
+    """Return the new names (K + 1,) of labels (R, C), those of no label first."""
     found = np.empty_like(labels)
     for i in range(labels.shape[0]):
         for j in range(labels.shape[1]):
@@ -274,7 +275,7 @@ def _fit_regions(labels, moments, is_planar, count, min_pixels):
             for term in range(3):
                 planes[n, term] = planes[k, term]
             n += 1
-    return _renamed(labels, names), planes[:n].copy()
+    return renamed(labels, names), planes[:n].copy()
 
 
 def relabel_sequential(labels: np.ndarray, kept: np.ndarray, count: int) -> np.ndarray:
@@ -288,7 +289,7 @@ def rename_labels(labels: np.ndarray, names: np.ndarray, none: int = -1) -> np.n
     """Return labels (H, W) int32 in which k is ``names[k]``, and -1 is ``none``."""
     if none == -1 and names.tolist() == list(range(len(names))):
         return labels
-    return _renamed(np.ascontiguousarray(labels, np.int32),
+    return renamed(np.ascontiguousarray(labels, np.int32),
                     np.concatenate([[none], names]).astype(np.int32))
 
 
