@@ -352,16 +352,12 @@ def _stride(columns: int, margin: int) -> int:
     return columns + 2 * margin + 1 - columns % 2
 
 
-def with_margin(grid: np.ndarray, margin: int) -> np.ndarray:
-    """Return a grid (R, C) with a margin of -1."""
-    right = _stride(grid.shape[1], margin) - grid.shape[1] - margin
-    return cv2.copyMakeBorder(grid, margin, margin, margin, right, cv2.BORDER_CONSTANT, value=-1)
-
-
 @lru_cache(maxsize=8)
 def cell_places(shape: tuple[int, int], margin: int) -> np.ndarray:
-    """Return the index of the cell at each place of a grid with a margin."""
-    return with_margin(np.arange(shape[0] * shape[1], dtype=np.int32).reshape(shape), margin)
+    """Return the index of the cell at each place of a grid with a margin of -1."""
+    right = _stride(shape[1], margin) - shape[1] - margin
+    return cv2.copyMakeBorder(np.arange(shape[0] * shape[1], dtype=np.int32).reshape(shape),
+                              margin, margin, margin, right, cv2.BORDER_CONSTANT, value=-1)
 
 
 @lru_cache(maxsize=8)
